@@ -1,14 +1,14 @@
-"""What a step of the car's controller costs, beside do-mpc and CasADi with IPOPT: `python benchmarks/car_mpc.py`.
+"""Cost of a step of the car's controller, beside do-mpc and CasADi with IPOPT: `python benchmarks/car_mpc.py`.
 
-One problem for all (kinematic bicycle by the midpoint rule, 20 steps of 50 ms, the same weights, limits and reference),
-each in a closed loop of its own with the same noise: a slalom of 1 m radius at 1.5 m/s, driven by the model the plan is
-made with. Each control step all contenders solve theirs, one after the other, so that whatever else the machine does
-falls on all of them, and none finds its own data in the processor's caches. Warm starts as each offers them.
+All contenders solve one problem (kinematic bicycle by the midpoint rule, 20 steps of 50 ms, the same weights, limits
+and reference), each in its own closed loop with the same noise: a slalom of 1 m radius at 1.5 m/s, driven by the model
+of the plan. In each control step all contenders solve theirs in turn, so other load on the machine affects all of them,
+and none finds its own data in the processor's caches. Each uses its own warm start.
 
-Wall-clock time and the thread's own CPU time are told; a ratio is that of the medians, by whichever of the two clocks
-it is smaller, and the share of the control period is of CPU time: what other processes take falls on everybody, but
-on the 99th percentile of the fastest most. do-mpc is measured when it is installed: pip install do-mpc (the extra
-`bench`). Exit status 1: a wanted figure was not reached.
+The output has wall-clock time and the thread's own CPU time. A ratio is that of medians, by the clock for which it is
+smaller. The share of the control period is of CPU time, because other processes affect the 99th percentile of the
+fastest contender most. do-mpc is measured if it is installed: pip install do-mpc (the extra `bench`). Exit status 1: a
+target was missed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from targets.car.control.solver.model import INPUTS, STATES, step
 from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Solver
 from targets.car.control.tracker import Track
 
-NOISE = 0.003  # m, rad; standard deviation a step, of the place and of the heading
+NOISE = 0.003  # m, rad; standard deviation of position and heading in each step
 ARCS, QUICK_ARCS = 12, 3
 LEAST = {("C", "do-mpc"): 70.0, ("C", "IPOPT"): 20.0, ("CasADi", "do-mpc"): 20.0, ("CasADi", "IPOPT"): 6.0}
 SHARE = 0.02  # of the control period that the 99th percentile may take
@@ -46,12 +46,12 @@ SHARE = 0.02  # of the control period that the 99th percentile may take
 
 class Contender(Protocol):
     def command(self, state: Sequence[float], wished: Sequence[float]) -> tuple[float, float]:
-        """The first acceleration and steering rate."""
+        """Return the first acceleration and steering rate."""
         ...
 
 
 class Ours:
-    """One of the target's two solvers, begun with its last plan, shifted."""
+    """One of the target's two solvers, started from its last plan, shifted by one step."""
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
@@ -65,7 +65,7 @@ class Ours:
 
 
 class Ipopt:
-    """CasADi's nlpsol with IPOPT as it comes, but silent; begun with its last plan, shifted."""
+    """CasADi's nlpsol with IPOPT and its defaults, without output, started from its last plan, shifted by one step."""
 
     def __init__(self) -> None:
         import casadi as ca
@@ -87,7 +87,7 @@ class Ipopt:
 
 
 class DoMpc:
-    """do-mpc with its defaults, but silent: a discrete model, the reference as time-varying parameters."""
+    """do-mpc with its defaults, without output: a discrete model, the reference as time-varying parameters."""
 
     def __init__(self) -> None:
         import casadi as ca
@@ -117,7 +117,7 @@ class DoMpc:
     def command(self, state: Sequence[float], wished: Sequence[float]) -> tuple[float, float]:
         import numpy as np
 
-        # What is wished for the present state costs the same whatever is planned.
+        # The cost of the present state does not depend on the plan.
         self._template["_tvp", :, "wished"] = [np.array(state)] + [
             np.array(wished[STATES * k : STATES * (k + 1)]) for k in range(STEPS)
         ]
@@ -132,7 +132,7 @@ class DoMpc:
 
 @dataclass
 class Loop:
-    """One contender on its way, and what was measured of it."""
+    """Closed loop of one contender, with its measurements."""
 
     contender: Contender
     track: Track
@@ -147,7 +147,7 @@ class Loop:
         return self.track.length - self.track.station > 0.05
 
     def advance(self) -> None:
-        """One control step; only the contender is timed."""
+        """Run one control step; only the contender's solver is timed."""
         s = self.state
         self.track.locate(s)
         reference = self.track.reference(s.speed, s.yaw)
@@ -166,7 +166,7 @@ class Loop:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Milliseconds a control step, wall-clock and of CPU; RMS cross-track error in millimetres."""
+    """Wall-clock and CPU time of a control step (ms), and RMS cross-track error (mm)."""
 
     median: float
     p99: float
@@ -176,7 +176,7 @@ class Figures:
 
 
 def _midpoint(s: Sequence[float], u: Sequence[float]) -> tuple[float, ...]:
-    """The model's step in numbers."""
+    """Return the next state of the model, as numbers."""
 
     def slope(z: Sequence[float]) -> tuple[float, ...]:
         turn = z[3] * math.tan(z[4]) / LIMITS.wheelbase
@@ -196,7 +196,7 @@ def contenders() -> dict[str, Contender]:
     }  # fmt: skip
     try:
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of packages that do-mpc can do without
+            warnings.simplefilter("ignore")  # about packages that do-mpc does not need
             found["do-mpc"] = DoMpc()
     except ImportError:
         print("do-mpc is not installed (pip install do-mpc): measured without it")
@@ -210,7 +210,7 @@ def measure(arcs: int) -> dict[str, Figures]:
         name: Loop(contender, Track(path, LIMITS), random.Random(1), State(first.x, first.y, first.yaw))
         for name, contender in contenders().items()
     }
-    for loop in loops.values():  # what a first solve sets up, the agent does before it drives, too
+    for loop in loops.values():  # the agent also solves once before it drives
         loop.contender.command((first.x, first.y, first.yaw, 0.0, 0.0), [first.x, first.y, first.yaw, 0.0, 0.0] * STEPS)
     while any(loop.driving for loop in loops.values()):
         for loop in loops.values():
@@ -228,7 +228,7 @@ def _figures(loop: Loop) -> Figures:
 
 
 def verdict(figures: dict[str, Figures]) -> bool:
-    """Print the ratios, and whether all that is wanted was reached."""
+    """Print the ratios. Return whether all targets were reached."""
     good = True
     for (ours, theirs), wanted in LEAST.items():
         if theirs in figures:

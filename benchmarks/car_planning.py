@@ -1,19 +1,19 @@
 """Planning for a car in seeded scenes of 7 x 8 m, clutter and walls with doors: success, time, length, collisions.
 
 `python benchmarks/car_planning.py [--quick] [--json FILE] [--pythonrobotics PATH]`. PATH is a checkout of
-github.com/AtsushiSakai/PythonRobotics, whose RRT with Dubins paths and RRT* with Reeds-Shepp paths then plan from the
-same pose to the same pose among the same obstacles, to their first path, with at most 200 iterations. They know discs
-only: a box is for them the disc within it, and the car a disc as wide as it is, so they have more room than it has.
+github.com/AtsushiSakai/PythonRobotics. Its RRT with Dubins paths and RRT* with Reeds-Shepp paths then plan from the
+same pose to the same pose among the same obstacles, to their first path, with at most 200 iterations. They only know
+discs: they see a box as the disc inside it, and the car as a disc of its width, so they have more room than our car.
 
-Without reverse many of the scenes have no way: the car may stand with its nose to a wall.
-A scene counts as solvable when an exhaustive search of a state lattice finds a way. `fixtures/car_checker.py` judges
-paths: the outline each centimetre against every obstacle, and the curvature. Times are of the planner as its process
-runs it, without the pipe. Budgets of ours count CPU time. Ends with 1 when a solvable scene is not solved, or a path is
-infeasible or collides; nothing of time is asserted.
+Without reverse, many scenes have no path: the car may stand with its front to a wall. A scene counts as solvable if an
+exhaustive search of a state lattice finds a path. `fixtures/car_checker.py` checks paths: the outline each centimetre
+against every obstacle, and the curvature. Times are those of the planner as its process runs it, without the pipe. Our
+budgets count CPU time. The exit status is 1 if a solvable scene is not solved, or if a path is infeasible or collides;
+no time is asserted.
 
-The second table is of rooms with walls (`fixtures/car_rooms.py`): doors, dead ends, U shapes, offset doors. There ours
-is asked as a program's `planner(goal)` is, for any heading at the goal, within several values of `planner_budget`.
-A wall is for PythonRobotics a row of discs as wide as it is thick; it answers every sixth of the queries.
+The second table has rooms with walls (`fixtures/car_rooms.py`): doors, dead ends, U shapes, offset doors. Our planner
+is called as a program's `planner(goal)` is, for any heading at the goal, with several values of `planner_budget`. For
+PythonRobotics a wall is a row of discs as wide as the wall is thick; it plans every sixth query.
 """
 
 from __future__ import annotations
@@ -49,23 +49,23 @@ from targets.car.planning.planner import segments
 from targets.planning.process import SHARE
 
 SCENES, QUICK = 60, 15
-BUDGET, PATIENCE = 0.036, 2.0  # seconds: for a short way, so that 40 ms pass; until which one is looked for at all
+BUDGET, PATIENCE = 0.036, 2.0  # seconds: to shorten a path (40 ms in all); limit of the search for any path
 ITERATIONS = 200
-RUNS = 5  # of ours with 40 ms in each scene
+RUNS = 5  # of our planner with 40 ms, in each scene
 BUDGETS = (0.01, 0.04, 0.06, 0.3, 0.6)  # seconds, in rooms with walls
-QUICK_STEP = 12  # with --quick: every so many queries
+QUICK_STEP = 12  # with --quick, only every 12th query
 PEERS_STEP = 6  # the peers answer every sixth of the queries: one answer can take a minute
 
 
 @dataclass
 class Row:
-    """What one planner came to: lengths in metres by scene, seconds that passed and of CPU."""
+    """Results of one planner: lengths (m) by scene, wall-clock and CPU seconds."""
 
     name: str
     lengths: dict[int, float] = field(default_factory=dict)
     passed: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
-    infeasible: int | None = None  # None: nobody looked
+    infeasible: int | None = None  # None: not checked
     colliding: int = 0
 
     def timed(self, call: Callable[[], Any]) -> Any:
@@ -78,14 +78,14 @@ class Row:
 
 def ours(row: Row, number: int, scene: Case, seconds: float, patience: float = PATIENCE, reverse: bool = True,
          runs: int = 1) -> None:  # fmt: skip
-    """The length is the mean of so many runs, each with other random numbers; one without a way spoils the scene."""
+    """Plan a scene several times with other random numbers; the length is the mean. One failure fails the scene."""
     lengths = [one_of_ours(row, scene, seconds, patience, reverse) for _ in range(runs)]
     if all(lengths):
         row.lengths[number] = mean(lengths)
 
 
 def one_of_ours(row: Row, scene: Case, seconds: float, patience: float, reverse: bool, pose: bool = True) -> float:
-    """Return the path's length, 0 without a path. Without `pose` the car may have any heading at the goal.
+    """Return the path's length (m), 0 without a path. Without `pose` the car may have any heading at the goal.
 
     `seconds` and `patience` are CPU time.
     """
@@ -104,7 +104,7 @@ def one_of_ours(row: Row, scene: Case, seconds: float, patience: float, reverse:
 
 
 def in_rooms(kinds: dict[str, Any], quick: bool) -> list[Row]:
-    """Rows of queries in rooms with walls."""
+    """Return the rows of queries in rooms with walls."""
     first = Row("ours, first path")
     rows = {budget: Row(f"ours, planner_budget {budget:g}") for budget in BUDGETS}
     strangers = {name: Row(name) for name in kinds}
@@ -127,7 +127,7 @@ def in_rooms(kinds: dict[str, Any], quick: bool) -> list[Row]:
 
 
 def peers(path: str) -> dict[str, Any]:
-    """PythonRobotics' two planners."""
+    """Return PythonRobotics' two planners."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -139,7 +139,7 @@ def peers(path: str) -> dict[str, Any]:
 
 
 def discs(bodies: tuple[Obstacle, ...]) -> list[tuple[float, float, float]]:
-    """Discs within bodies: in a box as many as touch each other in a row."""
+    """Return discs inside bodies; a box gets a row of discs that touch each other."""
     found = []
     for body in bodies:
         match body:
@@ -158,7 +158,7 @@ def discs(bodies: tuple[Obstacle, ...]) -> list[tuple[float, float, float]]:
 
 
 def theirs(row: Row, kind: Any, number: int, scene: Case) -> None:
-    """Its poses are a step apart, 0.2 m at most: they are what is looked at."""
+    """Plan with PythonRobotics. Its poses are at most 0.2 m apart, and only these are checked."""
     random.seed(number)
     lo, hi = scene.world().arena.lo, scene.world().arena.hi
     planner = kind(
@@ -175,7 +175,7 @@ def theirs(row: Row, kind: Any, number: int, scene: Case) -> None:
 
 
 def headed(path: list[list[float]]) -> Iterator[list[float]]:
-    """Poses of a path that is told from its end to its begin, where only places are told of one that goes forwards."""
+    """Return the poses of a path whose points are listed from goal to start; a forward path lists positions only."""
     for after, at in pairwise(path):
         if len(at) > 2:
             yield at
@@ -197,7 +197,7 @@ def table(rows: list[Row], count: int) -> None:
 
 
 def ratios(rows: list[Row], against: Row) -> dict[str, float]:
-    """Mean lengths over another's, in the scenes that both solve."""
+    """Return mean lengths relative to another planner, over the scenes that both solve."""
     found = {}
     for row in rows:
         both = row.lengths.keys() & against.lengths.keys()

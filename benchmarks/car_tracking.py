@@ -1,9 +1,8 @@
-"""How well the car's controller keeps to a path, with PyBullet's racecar: `python benchmarks/car_tracking.py`.
+"""Tracking error of the car's controller, with PyBullet's racecar: `python benchmarks/car_tracking.py`.
 
-Slalom: arcs of 1 m radius, to the left and to the right in turn, at 1.5 m/s; the distance of the true rear axle's
-middle from the path, 240 times a second. Parking: Reeds-Shepp curves to one pose from seeded starts around it; where
-the true car stands in the end. How the car is driven: `fixtures/racecar.py`. Exit status 1: a wanted figure was not
-reached.
+Slalom: arcs of 1 m radius, alternately to the left and to the right, at 1.5 m/s; measured is the distance of the middle
+of the true rear axle from the path, at 240 Hz. Parking: Reeds-Shepp curves to one pose from seeded starts around it;
+measured is the final true pose. `fixtures/racecar.py` drives the car. Exit status 1: a target was missed.
 """
 
 from __future__ import annotations

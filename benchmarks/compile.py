@@ -1,8 +1,9 @@
-"""What `koordgen check` and `koordgen build` cost as whole processes, beside the bare cost of their own imports.
+"""Time of `koordgen check` and `koordgen build` as whole processes, relative to the time of their imports alone.
 
-The peer is `python -c "import lark, jinja2"`, run in turn with ours, so that a machine whose speed drifts slows both.
-Also how the time of `check` grows with the length of the program; it must be linear. With `--first PATH`, a checkout of
-the first working version (`git worktree add PATH 8d43803`), the time of `check` on 10,000 lines beside that version's.
+The peer is `python -c "import lark, jinja2"`, run in turn with ours, so a machine whose speed changes affects both.
+Also measured: how the time of `check` grows with the length of the program; it must be linear. With `--first PATH`, a
+checkout of the first working version (`git worktree add PATH 8d43803`), it is compared with that version on 10,000
+lines.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# As on any machine: byte code is kept between runs.
+# Byte code is kept between runs, as on any machine.
 ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 LINEFORM = str(ROOT / "examples/lineform/lineform.koord")
 
 
 def seconds(command: list[str], root: Path = ROOT) -> float:
-    """Wall time of one process, with the koordgen of that checkout."""
+    """Return the wall-clock time of one process, with the koordgen of that checkout."""
     environment = ENVIRONMENT | {"PYTHONPATH": str(root)}
     start = time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, cwd=root, env=environment)
@@ -33,7 +34,7 @@ def seconds(command: list[str], root: Path = ROOT) -> float:
 
 
 def in_turn(commands: dict[str, list[str]], runs: int, output: Path) -> dict[str, list[float]]:
-    """Every command once a lap, one warm-up lap first; `output` is removed between laps, so that each build writes."""
+    """Run each command once in each lap, after a warm-up lap. `output` is removed between laps."""
     times: dict[str, list[float]] = {name: [] for name in commands}
     for lap in range(runs + 1):
         shutil.rmtree(output, ignore_errors=True)
@@ -45,7 +46,7 @@ def in_turn(commands: dict[str, list[str]], runs: int, output: Path) -> dict[str
 
 
 def program(lines: int) -> str:
-    """A well-formed program of about this many lines: events of five lines over a few variables."""
+    """Return a well-formed program of about this many lines: events of five lines over a few variables."""
     head = (
         "using Motion:\n  sensors: Point position\n  actuators: Point target\n"
         "allread: Point x[N_SYS]\nallwrite: int total\nlocal:\n  int count\n  float level = 0.5\n"
@@ -59,7 +60,7 @@ def program(lines: int) -> str:
 
 
 def ratios(times: dict[str, list[float]], peer: str) -> dict[str, float]:
-    """Median over the laps of own time / peer's time in the same lap."""
+    """Return the median over all laps of own time / peer's time in the same lap."""
     return {
         name: statistics.median(a / b for a, b in zip(values, times[peer], strict=True))
         for name, values in times.items()
@@ -68,7 +69,7 @@ def ratios(times: dict[str, list[float]], peer: str) -> dict[str, float]:
 
 
 def beside(command: list[str], first: Path, laps: int) -> list[tuple[float, float]]:
-    """Wall times of a command with this koordgen and with another checkout's, in turn, one warm-up lap first."""
+    """Return wall-clock times of a command with this koordgen and another checkout, in turn, after a warm-up lap."""
     return [(seconds(command), seconds(command, first)) for _ in range(laps + 1)][1:]
 
 

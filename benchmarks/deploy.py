@@ -38,7 +38,7 @@ HOSTS, QUICK = 20, 4
 
 
 class Fleet:
-    """The hosts, with our commands and the loop's."""
+    """Hosts of the fleet, with our commands and those of the rsync loop."""
 
     def __init__(self, fleet: Deployed) -> None:
         self._fleet = fleet
@@ -85,7 +85,7 @@ class Fleet:
                 control.close()
 
     def status(self) -> tuple[float, int]:
-        """Return seconds, and how many agents answered."""
+        """Return seconds, and the number of agents that answered."""
         seconds, said = self.koordgen("status", str(self._fleet.fleet), "--format", "json", statuses=(0, 1, 5))
         return seconds, sum(robot["answered"] for robot in json.loads(said)["robots"])
 
@@ -104,7 +104,7 @@ class Fleet:
     def loop_status(self) -> float:
         """Ask each robot's own bundle."""
         began = time.perf_counter()
-        settings = self._fleet.folder / "settings.json"  # laid over those of the bundles
+        settings = self._fleet.folder / "settings.json"  # replaces entries of the bundles' settings
         settings.write_text(json.dumps({"key_file": str(self._fleet.key)}))
         for robot in self._fleet.robots:
             options = f"--settings {settings} --status --format json"

@@ -1,12 +1,12 @@
 """Exploration beside Spin: `python benchmarks/explore.py [--quick] [--json FILE]`.
 
-Leader election, explored whole for 2 to 7 robots, beside two equivalent Promela models (`fixtures/spin.py` says how
-they differ; tests/verify/explore/test_spin.py compares the states at rounds' ends): `plain` as one would write it down,
-`tight` the best for Spin that we know. Seconds are of CPU, the least of a few runs: `search` is the search alone (of
-Spin, the compiled verifier's process; ours, the Search on a machine that is made), `whole` with all that comes before
-it (Spin's generator and gcc; ours, reading and compiling the program). Spin's verifiers: gcc -O2 -DSAFETY, partial
-order reduction on, states not collapsed. `bare` is ours with every reduction off. Then other examples, ours alone: with
-the environments that stand beside them.
+Leader election is explored completely for 2 to 7 robots, beside two equivalent Promela models (`fixtures/spin.py` has
+their differences; tests/verify/explore/test_spin.py compares the states at ends of rounds): `plain`, the
+straightforward model, and `tight`, the fastest for Spin that we know. Seconds are CPU time, the least of a few runs.
+`search` is the search alone (for Spin, the process of the compiled verifier; for us, Search on an existing machine),
+`whole` includes all work before it (Spin's generator and gcc; for us, reading and compiling the program). Spin's
+verifiers: gcc -O2 -DSAFETY, partial order reduction on, states not collapsed. `bare` is our explorer without any
+reduction. Other examples follow, with our explorer alone, in their environments.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ELECTION = EXAMPLES / "election/election.koord"
 SALT = 7
 BARE = {"symmetry": False, "independence": False, "forgetting": False}  # every reduction off
 OTHERS = ("atomicsum/atomicsum", "patrol/patrol", "task/task", "mapping/mapping")
-BOUND = 120.0  # seconds of one exploration
+BOUND = 120.0  # seconds: limit of one exploration
 
 
 class Row(NamedTuple):
@@ -78,7 +78,7 @@ def ours(path: Path, robots: int, how: str, repeats: int, **switches: bool) -> R
 
 
 def _surrounded(path: Path, robots: int) -> tuple[Program, Environment]:
-    """The program, with the params of the environment that stands beside it."""
+    """Return a program with the params of the environment in its folder."""
     program, file = check_file(str(path)).program, path.with_name("explore.yaml")
     around = environment(program, robots, read_source(str(file)), lambda *_: None)
     assert around is not None, f"{file} has a mistake"
@@ -111,7 +111,7 @@ def election(quick: bool) -> list[Row]:
 
 
 def ratios(rows: list[Row]) -> dict[str, dict[str, float]]:
-    """Spin's figures by ours, of the same number of robots."""
+    """Return Spin's figures divided by ours, for equal numbers of robots."""
     mine = {row.robots: row for row in rows if row.how == "koordgen"}
     return {
         f"{row.how}, {row.robots} robots": {
@@ -125,7 +125,7 @@ def ratios(rows: list[Row]) -> dict[str, dict[str, float]]:
 
 
 def others(quick: bool) -> list[Row]:
-    """Other examples in their environments."""
+    """Explore other examples in their environments."""
     rows = []
     for name in OTHERS[:2] if quick else OTHERS:
         path = EXAMPLES / f"{name}.koord"

@@ -1,10 +1,10 @@
-"""What monitors cost of an agent's round: `python benchmarks/monitors.py`.
+"""Share of monitors in the CPU time of an agent's round: `python benchmarks/monitors.py`.
 
-Whole agents of the examples' programs run in one process, on the in-memory transport, over bodies that move to their
-targets and are polled once a round. Twin fleets, one with monitors and one without, take turns, so that whatever else
-the computer does falls on both. A round's CPU is all that an agent does in it: events, shared memory, MAC, polls of the
-body. Beside that the same invariant in `rtamt` (https://github.com/nickovic/rtamt), if it is installed: one robot's
-place within a box, one sample at a time.
+Agents of the examples' programs run in one process, on the in-memory transport, over bodies that move to their targets
+and are polled once a round. Two equal fleets, one with monitors and one without, take turns, so other load on the
+computer affects both. The CPU time of a round is that of all the agent's work: events, shared memory, MAC, polls of the
+body. Also measured is the same invariant in `rtamt` (https://github.com/nickovic/rtamt), if it is installed: one
+robot's position within a box, one sample at a time.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ ROOT = Path(__file__).resolve().parents[1]
 PROGRAMS = ("task/task", "lineform/geofence", "election/election", "mapping/mapping")
 SIZES = (4, 16)
 DELTA = 0.1
-CHUNK = 20  # rounds between two changes from one fleet to its twin
-SPEED = 0.02  # metres in a round: nobody arrives, and all are always on their way
+CHUNK = 20  # rounds of one fleet before its twin runs
+SPEED = 0.02  # metres in a round: no robot ever arrives
 TASKS = [{"target": [float(k % 5), float(k // 5), 0.0], "id": k + 1} for k in range(20)]
 
 
 class Moving:
-    """A body of any module that moves slowly to where it is sent, each target a step away and never reached."""
+    """Body with the ports of any module. It moves slowly to its targets, which are a step away and never reached."""
 
     period = DELTA
     ready = rested = True
@@ -102,12 +102,12 @@ class Moving:
 
 
 def generated(name: str, params: dict[str, Any]) -> Properties:
-    """An example's program and properties."""
+    """Return an example's program and properties."""
     return compiled(with_params(check_file(str(ROOT / f"examples/{name}.koord")).program, params))
 
 
 def compiled(program: Program) -> Properties:
-    """As they go into a bundle."""
+    """Return the modules of a program in the form of a bundle."""
     functions = f"{program.name}_functions"
     sys.modules.pop(functions, None)
     for module, text in (("program", program_text(program)), ("properties", properties_text(program))):
@@ -122,13 +122,13 @@ def compiled(program: Program) -> Properties:
 
 
 class Own:
-    """The processor's time of one agent of many in this process."""
+    """CPU time of one agent among many in this process."""
 
     def __init__(self) -> None:
         self._before = self._since = 0.0
 
     def poll(self, robot: Robot) -> None:
-        """Its time begins with each poll and ends with it."""
+        """Measure the CPU time of a robot's agent: from now on each of its polls is timed."""
         poll = robot.agent.poll
 
         def timed(now: float) -> float:
@@ -156,7 +156,7 @@ def fleet(found: Properties, n: int, watched: bool) -> Fleet:
 
 
 def spent(made: Fleet, rounds: int) -> float:
-    """Seconds of CPU that all agents took for so many more rounds."""
+    """Return the CPU seconds of all agents for so many more rounds."""
     through = min(robot.agent.round for robot in made.robots.values()) + rounds
     began = time.process_time()
     made.run_rounds(through)
@@ -164,7 +164,7 @@ def spent(made: Fleet, rounds: int) -> float:
 
 
 def measure(name: str, n: int, chunks: int) -> dict[str, float]:
-    """Microseconds of CPU in one agent's round, without monitors and with them, and the share that they take."""
+    """Return CPU microseconds of one agent's round without and with monitors, and the share of the monitors."""
     found = generated(name, {"tasks": TASKS} if name == "task/task" else {})
     took: tuple[list[float], list[float]] = [], []
     twins: tuple[Fleet, Fleet] | None = None
@@ -174,7 +174,7 @@ def measure(name: str, n: int, chunks: int) -> dict[str, float]:
         for which in (0, 1) if chunk % 2 else (1, 0):
             took[which].append(spent(twins[which], CHUNK) / CHUNK / n)
     without, with_ = statistics.median(took[0]) * 1e6, statistics.median(took[1]) * 1e6
-    # Of twins in the same rounds, one right after the other: what else the computer does falls on both.
+    # Twins run the same rounds one right after the other, so other load on the computer affects both.
     share = statistics.median(w / b for b, w in zip(*took, strict=True)) - 1
     return {"without_us": without, "with_us": with_, "share": share}
 
@@ -190,7 +190,7 @@ invariant Yard: forall i in ID: Motion.position[i] in Rect(Point(-6, -5, -0.5), 
 
 
 def one_invariant(samples: int) -> dict[str, float | str]:
-    """Microseconds of CPU for one sample of a robot's place, held against a box: ours, and rtamt's."""
+    """Return CPU microseconds for one sample of a robot's position, checked against a box: ours, and rtamt's."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "box.koord"
         path.write_text(BOX)

@@ -1,6 +1,6 @@
-"""Our side as a whole: agents on real UDP, each in a process of its own.
+"""Whole agents on real UDP sockets, each in its own process, as one side of the comparison with peers.
 
-What looks inside an agent stands in `Inside`, and nowhere else.
+Only the class `Inside` accesses internals of an agent.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def publish(state: Update) -> None:
 
 
 def program(size: int) -> Program:
-    """Each robot writes `size` bytes in every round."""
+    """Return a program in which each robot writes `size` bytes in every round."""
     text = "0" * size
     return Program(
         name="update",
@@ -62,7 +62,7 @@ def program(size: int) -> Program:
 
 
 def settings(pid: int, ports: Sequence[int], delta: float, transport: Any) -> Settings:
-    """The last of `ports` is the group's."""
+    """Return the settings of one robot; the last of `ports` is that of the group."""
     return Settings(
         app="update",
         robot=f"robot{pid}",
@@ -76,7 +76,7 @@ def settings(pid: int, ports: Sequence[int], delta: float, transport: Any) -> Se
 
 
 class Still:
-    """A body that is always ready and at rest."""
+    """Body that is always ready and does not move."""
 
     period = 0.1
     ready = True
@@ -112,7 +112,7 @@ class Still:
 
 
 class Tapped:
-    """A transport that notes what it sent and when."""
+    """Transport that records the datagrams sent, with their times."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -129,20 +129,20 @@ class Tapped:
 
 
 class Inside:
-    """What is looked at within a running agent."""
+    """Internals of a running agent that the benchmark reads."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
 
     @property
     def start(self) -> float | None:
-        """The tick of round 1. Fleet time is robot 0's clock, and on one host all clocks are the same."""
+        """Time of the tick of round 1. Fleet time is the clock of robot 0; on one host all clocks are equal."""
         rounds = self._agent._rounds
         return None if rounds is None else rounds._start
 
     @property
     def complete(self) -> int:
-        """The last round of which the updates of all robots are here."""
+        """Last round of which the updates of all robots have arrived."""
         rounds = self._agent._rounds
         state = None if rounds is None else rounds._replica.state
         return 0 if state is None else min(state.held)
@@ -151,9 +151,11 @@ class Inside:
 def run_agent(
     pid: int, ports: Sequence[int], transport: str, delta: float, count: int, size: int, patience: float, folder: Path
 ) -> dict[str, Any]:
-    """Run one agent for `count` rounds, which must begin within `patience` seconds (else TimeoutError). By round:
-    seconds from the tick to consistency, and to the departure of the own entry, infinite when that never came; and
-    the rounds in which no event ran, with the reason. `cpu`: seconds of CPU in a round."""
+    """Run one agent for `count` rounds. Raises TimeoutError if they do not begin within `patience` seconds.
+
+    Return by round: seconds from the tick to consistency, and to the first sending of the own entry, infinite if that
+    never happened; and the rounds without an event, with the reason. `cpu`: CPU seconds of a round.
+    """
     clock, given = SystemClock(), settings(pid, ports, delta, transport)
     skipped: dict[int, str] = {}
 
@@ -199,7 +201,7 @@ def run_agent(
 
 
 def entries(sent: Sequence[tuple[float, bytes]], pid: int) -> dict[int, float]:
-    """When the own entry of each round left first."""
+    """Return the time at which the own entry of each round was first sent."""
     left: dict[int, float] = {}
     for at, datagram in sent:
         message = decode(datagram, KEY)
@@ -212,4 +214,4 @@ def entries(sent: Sequence[tuple[float, bytes]], pid: int) -> dict[int, float]:
 
 
 def _tell(level: str, line: str) -> None:
-    """What is wrong shows in the figures."""
+    """Ignore a message of the agent: errors show in the figures."""

@@ -1,17 +1,17 @@
-"""What others have for the same job: raw UDP, CycloneDDS, Zenoh, each as an Exchange between N processes on loopback;
-and the harness that drives them and us alike.
+"""Peers of the shared memory: raw UDP, CycloneDDS and Zenoh, each as an Exchange between N processes on loopback.
 
-Each runs as its makers mean it to for small, frequent, reliable updates, with what was found to serve it best here.
-None authenticates anything, or keeps anything in a file. Tried, on two cores that others used too:
+Also the harness that drives them and ours in the same way. Each peer runs with the settings that its makers recommend
+for small, frequent, reliable updates, and with those that were fastest here. None authenticates data or writes to a
+file. Tried, on two cores with other load:
 
 - Zenoh, peers on TCP, express publishers. Round trip 250 us; with the low-latency transport 175 us, so it is used for
-  two robots; with 16 robots some links of it never came up. UDP links, no batching, no QoS, no shared memory, one
-  sending thread: 245 to 275 us, no gain. A full queue drops updates by default, so that at 16 robots many
-  rounds were never complete; publishers that wait (`BLOCK`) and REAL_TIME priority were the best there.
+  two robots; with 16 robots some of its links never came up. UDP links, no batching, no QoS, no shared memory, one
+  sending thread: 245 to 275 us, no gain. A full queue drops updates by default, so with 16 robots many rounds were
+  never complete; publishers that wait (`BLOCK`) with REAL_TIME priority were the best there.
 - CycloneDDS, reliable writers, a waitset, the loopback interface with multicast. Round trip 175 us (150 to 245 as the
-  machine's load changed). Synchronous delivery and one receiving thread: as fast, or faster at 16 robots (4.7 and 4.8
-  ms to consistency beside 7.1), so they are used. No batching, more buffer, no multicast for data, other
-  heartbeats: no gain; acknowledgements that wait 1 ms: much slower at 16 robots.
+  load of the machine changed). Synchronous delivery and one receiving thread: as fast, or faster with 16 robots (4.7
+  and 4.8 ms to consistency, against 7.1 ms), so they are used. No batching, more buffer, no multicast for data, other
+  heartbeats: no gain; acknowledgements that wait 1 ms: much slower with 16 robots.
 """
 
 from __future__ import annotations
@@ -35,15 +35,20 @@ Heard = list[tuple[int, int]]  # pid and round
 
 
 def warm_up(delta: float) -> int:
-    """How many rounds there are before those that count: what each process does for the first time costs it many times
-    as much, and takes a large fleet with short rounds the most of them to get over."""
+    """Return the number of rounds before the measured ones.
+
+    A process takes many times longer for everything that it does for the first time. A large fleet with short rounds
+    needs most rounds to recover.
+    """
     return max(20, round(1.0 / delta))
 
 
 @dataclass(frozen=True)
 class Place:
-    """One robot's: `size` bytes of an update, `delta` seconds between rounds, a folder for what it keeps. The last of
-    `ports` is nobody's own."""
+    """Setting of one robot: `size` bytes of an update, `delta` seconds between rounds, and a folder for its files.
+
+    The last of `ports` belongs to no robot.
+    """
 
     pid: int
     ports: Sequence[int]
@@ -55,20 +60,20 @@ class Place:
 class Exchange(Protocol):
     @property
     def missed(self) -> Sequence[int]:
-        """The rounds that were published without an update, because something of earlier ones was not here yet."""
+        """Rounds that were published without an update, because data of earlier rounds were missing."""
         ...
 
     def publish(self, round_: int) -> None:
-        """One robot's update of a round, to all others."""
+        """Send the robot's update of a round to all others."""
         ...
 
     def take(self, seconds: float) -> Heard:
-        """What has arrived from others; waits so long for the first."""
+        """Return the updates that have arrived; wait up to `seconds` for the first."""
         ...
 
 
 class Raw:
-    """Blocking sockets and nothing else: two robots."""
+    """Exchange between two robots over blocking UDP sockets, and nothing else."""
 
     missed = ()
 
@@ -87,7 +92,7 @@ class Raw:
 
 
 class Polled(Raw):
-    """The same, but it never sleeps: each side keeps a core to itself and asks the socket all the time."""
+    """Like Raw, but without sleeping: each side polls its socket all the time, and occupies a core."""
 
     def __init__(self, place: Place) -> None:
         super().__init__(place)
@@ -169,7 +174,7 @@ class Cyclone:
         quality = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(256))
         self._type = _update_type()
         self._duration = duration
-        # A domain of its own for each run, so that one run's robots are not another's.
+        # Each run has its own domain, so that robots of two runs do not meet.
         self._participant = DomainParticipant(place.ports[0] % 200)
         topic = Topic(self._participant, "update", self._type)
         self._writer = DataWriter(self._participant, topic, qos=quality)
@@ -204,7 +209,7 @@ PEERS: dict[str, Make] = {"zenoh": Zenoh, "cyclonedds": Cyclone}
 
 
 def missing() -> dict[str, str]:
-    """The peers that are not there, and how to get each."""
+    """Return the peers that are not installed, with the command that installs each."""
     return {
         name: f"{name} is not there: pip install 'koordgen[bench]' (or {package})"
         for name, package in PACKAGES.items()
@@ -213,7 +218,7 @@ def missing() -> dict[str, str]:
 
 
 def meet(exchange: Exchange, n: int, limit: float = 30.0) -> None:
-    """Publish until all others were heard. Raises TimeoutError."""
+    """Publish until the updates of all others have arrived. Raises TimeoutError."""
     heard: set[int] = set()
     end = time.monotonic() + limit
     while time.monotonic() < end:
@@ -228,7 +233,7 @@ def meet(exchange: Exchange, n: int, limit: float = 30.0) -> None:
 
 
 def ping(exchange: Exchange, pid: int, count: int) -> list[float]:
-    """Seconds of each of `count` round trips, as robot 0 sees them."""
+    """Return the seconds of each of `count` round trips, measured by robot 0."""
     took = []
     for round_ in range(1, count + 1):
         began = time.perf_counter()
@@ -243,10 +248,12 @@ def ping(exchange: Exchange, pid: int, count: int) -> list[float]:
 
 
 def keep_rounds(exchange: Exchange, n: int, delta: float, start: float, count: int) -> list[float]:
-    """For each round the seconds from its tick until the other n - 1 updates of it were here, however late; infinite
-    when they did not come until a second after the end."""
+    """Return for each round the seconds from its tick until the n - 1 updates of others arrived, however late.
+
+    Infinite if they had not arrived one second after the end.
+    """
     missing = [n - 1] * (count + 1)
-    missing[0] = 0  # others' updates of round 0 may still be under way
+    missing[0] = 0  # updates of round 0 may still be in transit
     took = [float("inf")] * count
 
     def hear_until(end: float) -> None:

@@ -1,10 +1,10 @@
-"""Our side: one robot's shared memory as an Exchange, without the agent around it (SharedMemory); and of two robots
-an update's way alone (Update): encode, MAC, UDP, verify, decode, apply.
+"""Our shared memory of one robot as an Exchange, without an agent (SharedMemory), and an update's path alone (Update).
 
-All that an agent's shared memory does in a round is done here: entry, encoding, MAC, UDP, verifying, decoding,
-applying, words, clock echoes, the robot's word kept in a file, questions for what is missing, views. `SharedMemory`
-does with the runtime's own objects what Rounds does, at the same moments. What belongs to a program is the agent's:
-sensors, events, the robot's own variables and what leaves the robot, monitors, trace.
+`Update`: encode, MAC, UDP, verify, decode, apply, between two robots. `SharedMemory` does all the work of an agent's
+shared memory in a round: entry, encoding, MAC, UDP, verifying, decoding, applying, progress reports, clock echoes,
+persistence of its progress report in a file, requests for missing entries, views. It uses the runtime's own objects, at
+the same times as Rounds does. The work for the program remains with the agent: sensors, events, the robot's own
+variables and outputs, monitors, trace.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from koordgen.runtime.values.clock import Clock, SystemClock
 
 
 def open_memory(place: Place, network: str = "multicast", native: bool = True) -> SharedMemory:
-    """On real sockets of this host, and with a real file."""
+    """Return a SharedMemory on real sockets of this host, with a real file."""
     if not native:
         without_courier()
     given = settings(place.pid, place.ports, place.delta, network)
@@ -47,7 +47,7 @@ def open_memory(place: Place, network: str = "multicast", native: bool = True) -
 
 
 def open_update(place: Place, native: bool = True) -> Update:
-    """On real sockets of this host."""
+    """Return an Update on real sockets of this host."""
     if not native:
         without_courier()
     given = settings(place.pid, place.ports, place.delta, "unicast")
@@ -55,17 +55,17 @@ def open_update(place: Place, native: bool = True) -> Update:
 
 
 def without_courier() -> None:
-    """Do everything in Python in this process, as where there is no compiler."""
+    """Do the socket I/O in Python in this process, as on a computer without a C compiler."""
     socket_batch.COMPILED.found = "not wanted"
 
 
 def open_driver(
     given: Settings, size: int, transport: Transport, clock: Clock, persist: Callable[[HardState], None]
 ) -> tuple[Driver, Link]:
-    """Return a driver as after joining: all robots have met and ran `init`."""
+    """Return a driver in the state after joining: all robots have met and ran `init`."""
     ours, pid, n = program(size), given.pid, len(given.peers)
     boots = [bytes([p] * 8) for p in range(n)]
-    fleet_clock = FleetClock(pid)  # it learns; the harness goes by the host's clock, with ours and peers
+    fleet_clock = FleetClock(pid)  # kept running as in an agent; the harness measures with the host's clock
     fleet_clock.lock()
     link = Link(ours, given, KEY, transport, clock, fleet_clock, boots[pid], print, Metrics(pid, n))
     for other in range(n):
@@ -80,26 +80,27 @@ def open_driver(
 
 
 def _speak(link: Link, pids: Collection[int]) -> set[int]:
-    """Return those of which a datagram has arrived."""
+    """Return the robots from which a datagram has arrived."""
     return {pid for pid in pids if link.sessions[pid].sent >= 0}
 
 
 def _receive(driver: Driver, link: Link) -> None:
-    """Hand what has arrived to the replica."""
+    """Pass the received datagrams to the replica."""
     driver.receive(link.receive())
 
 
 class Update:
-    """One of two robots that answer each other: no ticks, so no requests, no ballots, and nothing is persisted.
+    """One of two robots that answer each other: without ticks, requests or ballots, and without persistence.
 
-    An answer is sent after the update that it answers was applied, as a robot applies no round before it has closed it.
+    An answer is sent after the update that it answers was applied: a robot applies no round before it has sent its own
+    entry.
     """
 
     def __init__(self, given: Settings, size: int, transport: Transport, clock: Clock) -> None:
         self._other, self._rest, self._transport = 1 - given.pid, "x" * (size - 8), transport
         self._driver, self._link = open_driver(given, size, transport, clock, lambda state: None)
         self._round = self._told = 0
-        self.missed: list[int] = []  # none ever: nothing is lost between two processes that take turns
+        self.missed: list[int] = []  # always empty: no datagram is lost between two processes that take turns
 
     def publish(self, round_: int) -> None:
         if round_ == 0:
@@ -123,11 +124,11 @@ class Update:
 
 
 class SharedMemory:
-    """One robot's shared memory. A round begins when it is published.
+    """Shared memory of one robot. A round begins when its update is published.
 
-    If something of the last round is missing, the entry waits until the publish deadline, and then goes without an
-    update. Round 0 is there to find out whether all others can be heard. The updates have no outputs, so no robot waits
-    for a commit.
+    If data of the last round are missing, the entry waits until the publish deadline, and is then sent without an
+    update. Round 0 shows whether all others can be received. The updates have no outputs, so no robot waits for a
+    commit.
     """
 
     def __init__(self, given: Settings, size: int, transport: Transport, store: CheckpointStore, clock: Clock) -> None:
@@ -139,14 +140,14 @@ class SharedMemory:
         keeping.mission(self._link.epoch, Life(0, {"count": 0}, {}, False))
         self._replica = self._driver.replica
         self._round, self._tick = 0, -1
-        self._start = self._begun = math.inf  # round 1, at the earliest that any was published; the present round
+        self._start = self._begun = math.inf  # start of round 1, from the earliest publish; start of the present round
         self._wake = math.inf
-        self._open = False  # the present round is not closed yet
-        self._handled = 0  # the last round whose being applied was acknowledged
+        self._open = False  # the entry of the present round was not sent yet
+        self._handled = 0  # last applied round that was acknowledged
         self._view = self._store_changes = 0
-        self._told = {p: 0 for p in range(n) if p != pid}  # up to which round each robot's entries were found
+        self._told = {p: 0 for p in range(n) if p != pid}  # last round of each robot whose entries have arrived
         self._unheard = set(self._told)
-        self._found: Heard = []  # and not returned yet
+        self._found: Heard = []  # entries that `take` has not returned yet
         self.missed: list[int] = []
 
     def publish(self, round_: int) -> None:
@@ -160,23 +161,25 @@ class SharedMemory:
         now, before = clock(), (round_ - 1) * self._delta
         self._start = min(self._start, now - before)
         self._begun = self._start + before
-        if now >= self._begun + self._delta:  # slept through: it is closed with the next one
+        if now >= self._begun + self._delta:  # overslept: its entry is sent with the next one
             self.missed.append(round_)
             return
         self._round, self._tick, self._open, self._wake = round_, -1, True, self._begun
         if not self._is_current():
             self._driver.tick((round_ - 1) * TICKS)
-            self._hear()  # what is missing may be here
+            self._hear()  # missing entries may have arrived
             if not self._is_current() and self._replica.policy.waits(round_):
                 return
         self._close(self._is_current())
-        self._driver.tick((round_ - 1) * TICKS)  # only now: all others wait for the entry
+        self._driver.tick((round_ - 1) * TICKS)  # after sending, because all others wait for the entry
         if now < self._moment(PUNCTUAL) and not self._replica.is_busy:
             self._tick, self._wake = 0, self._moment(REQUEST_TICK)
 
     def take(self, seconds: float) -> Heard:
-        """Do what is due, then wait for something to arrive, then do what follows from that. When it is time for the
-        next entry, that comes first, as in an agent."""
+        """Do the due work, wait for a datagram, then process it.
+
+        When the next entry is due, it is sent first, as in an agent.
+        """
         clock = self._now
         now = clock()
         end = now + seconds
@@ -192,7 +195,7 @@ class SharedMemory:
         return found
 
     def _wait(self, seconds: float) -> None:
-        """Gather as many entries as Rounds expects."""
+        """Receive as many entries as Rounds expects."""
         state, at_once = self._replica.state, self._open and not self._replica.policy.is_strained(self._round)
         lacking = 0 if state is None or at_once or state.applied >= self._round else state.lacking
         if lacking:
@@ -201,7 +204,7 @@ class SharedMemory:
             self._transport.wait(seconds)
 
     def _is_current(self) -> bool:
-        """Return whether an event may run, as Rounds finds."""
+        """Return whether an event may run, as Rounds decides."""
         state, round_ = self._replica.state, self._round
         if state is None or state.applied != round_ - 1 or state.is_frozen:
             return False
@@ -217,7 +220,7 @@ class SharedMemory:
         self._driver.run()
 
     def _hear(self) -> None:
-        """Receive what has arrived, and note what is held without a gap since; in round 0, who can be heard."""
+        """Receive datagrams. Record up to which round entries are complete; in round 0, which robots were received."""
         _receive(self._driver, self._link)
         if self._round == 0:
             heard = _speak(self._link, self._unheard)
@@ -234,7 +237,7 @@ class SharedMemory:
                 self._told[pid] = held
 
     def _react(self, now: float) -> None:
-        """Act on what has arrived: it may complete the round, or change who counts."""
+        """Process received datagrams: they may complete the round, or change the view."""
         replica, round_ = self._replica, self._round
         if replica.store_changes != self._store_changes:
             self._store_changes = replica.store_changes
@@ -260,7 +263,7 @@ class SharedMemory:
                 self._wake = self._next_wake(state, self._tick)
 
     def _poll(self, now: float) -> None:
-        """Do what is due at the ticks of a round. Those of the last round go on until nothing is missing."""
+        """Do the work that is due at the ticks of a round. Ticks of the last round go on until no data are missing."""
         replica = self._replica
         tick = math.floor((now - self._begun) / self._delta * TICKS + 1e-6)
         on_time = now < self._wake + PUNCTUAL / TICKS * self._delta
@@ -269,11 +272,11 @@ class SharedMemory:
             self._driver.tick((self._round - 1) * TICKS + tick)
             replica.request(tick, on_time, None)
             self._driver.flush()
-            self._react(now)  # there may be another view
+            self._react(now)  # the view may have changed
         self._wake = self._next_wake(replica.state, tick)
 
     def _next_wake(self, state: StateMachine | None, tick: int) -> float:
-        """Return when there is something to do again, at the latest."""
+        """Return the latest time at which there is work again."""
         replica, round_ = self._replica, self._round
         missing = state is not None and [p for p in state.missing(round_ - (tick < REQUEST_TICK)) if p != self._pid]
         if missing or self._open or state is None or replica.is_busy:
@@ -283,5 +286,5 @@ class SharedMemory:
         return self._moment(max(tick + 1, REQUEST_TICK)) if state.applied < round_ else math.inf
 
     def _moment(self, tick: float) -> float:
-        """Return the time of a tick of the present round."""
+        """Return the time of a tick in the present round."""
         return self._begun + tick / TICKS * self._delta

@@ -1,16 +1,17 @@
-"""The published Tables 1 to 4 with our times beside them: `python benchmarks/proof_tables.py [--quick] [--json FILE]`.
+"""The published Tables 1 to 4 beside our times: `python benchmarks/proof_tables.py [--quick] [--json FILE]`.
 
-Published are, for each number of robots, seconds of K's symbolic execution and of Z3. Ours are the making of all
-obligations of the invariant (`make`) and the solvers' answers (`z3`, `cvc5`), for that number of robots and, once, for
-every number; base, events, environment and consistency are all in them, as the command asks them first. They are
-seconds of CPU, so that what else a machine does counts for little, without a solver's start. What takes a solver a few
-milliseconds is asked many times over, in one process, and each number is the median of several; so are the ratios of
-15 robots to any number. `how` tells what was made: `any` (N_SYS is a symbol), `written out` (each robot by its number)
-or `instances` (N_SYS is a number, and all else as for any: where formulas speak of pairs of more than 4 robots, or
-beyond 20). In Table 2 `make` is all that the command does but asking, and 15 robots are first tried as any number is.
+The published figures are seconds of K's symbolic execution and of Z3, for each number of robots. Ours are the time to
+make all obligations of the invariant (`make`) and the time of the solvers (`z3`, `cvc5`), for that number of robots
+and, once, for any number. Base case, events, environment and consistency are included, in the order of the command.
+Seconds are CPU time without the solver's start, so other load on the machine counts little. Queries of a few
+milliseconds are repeated many times in one process, and each number is the median of several measurements, as are
+ratios of 15 robots to any number. `how` is the form of the obligations: `any` (N_SYS is a symbol), `written out` (one
+term for each robot) or `instances` (N_SYS is a number, otherwise as for any; used for more than 20 robots, or more than
+4 if formulas have pairs of robots). In Table 2 `make` includes all of the command but the solver, and 15 robots are
+first tried like any number.
 
-Then the commands are measured, wall and CPU with the solver's: what `prove` takes beyond `check` (that alone with
-`--beyond`), the case studies for 15 and 100 robots, and Table 2.
+Then the commands are measured, in wall-clock time and CPU time with the solver: the time of `prove` beyond `check`
+(that alone with `--beyond`), the case studies for 15 and 100 robots, and Table 2.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ TASK = {3: (9.90, 10.6), 4: (9.79, 11.78), 5: (9.91, 14.92), 10: (12.92, 18.34)}
 MAPPING = {3: (9.23, 14.53), 4: (9.33, 19.25), 5: (9.19, 24.30), 10: (9.31, 59.81)}
 STUDIES = {"LineForm": "lineform/geofence", "Task": "task/separation", "Mapping": "mapping/mapping"}
 WEAKER = {"E, I": (13.06, 23.03), "E, WI": (9.92, 18.26), "E, A, WI": (11.24, 32.64)}  # 15 robots, 2-D, all "Unknown"
-ASKED = 0.1  # seconds of a solver's CPU that a measurement takes, at least
-LARGE = (15, 100)  # robots, of the commands that are measured
+ASKED = 0.1  # least CPU seconds of a solver in one measurement
+LARGE = (15, 100)  # numbers of robots of the measured commands
 ASSUME = "  assume position' in Rect(position, target)\n"
 PROGRAM = """\
 param Point lo = Point(0, 0, 0)
@@ -76,11 +77,11 @@ invariant Geofence: forall i in ID: {bounds}
 """
 
 
-Taken = tuple[float, float]  # seconds on the wall, and of CPU
+Taken = tuple[float, float]  # wall-clock and CPU seconds
 
 
 class Row(NamedTuple):
-    """Seconds; verdict of the row's invariant."""
+    """One row of a table: seconds, and the verdict of its invariant."""
 
     table: str
     case: str
@@ -95,7 +96,7 @@ class Row(NamedTuple):
 
 
 def lineform(dimensions: int, variables: tuple[str, ...], assume: str = ASSUME) -> str:
-    """The program with bounds on these variables, in the first coordinates."""
+    """Return LineForm with bounds on these variables, for the first coordinates."""
 
     def bounded(variable: str) -> str:
         return " and ".join(f"lo.{c} <= {variable}[i].{c} <= hi.{c}" for c in "xyz"[:dimensions])
@@ -126,8 +127,10 @@ def measured(table: str, case: str, program: Program, robots: int | None, publis
 
 
 def _solving(name: str, made: list[list[Obligation]]) -> tuple[float, bool]:
-    """CPU seconds of a solver for all these, and whether all its answers are those that proofs need: what a process
-    takes that answers them several times more than another one."""
+    """Return CPU seconds of a solver for all these queries, and whether it gives the answers that the proof needs.
+
+    The time is the difference between two processes, one of which solves the queries several times more often.
+    """
     once, proved = _answered(name, made, 1)
     more = min(20, max(1, round(ASKED / max(once, 0.001))))
     spent = [_answered(name, made, 1 + more)[0] - _answered(name, made, 1)[0] for _ in range(3)]
@@ -135,7 +138,7 @@ def _solving(name: str, made: list[list[Obligation]]) -> tuple[float, bool]:
 
 
 def _answered(name: str, made: list[list[Obligation]], times: int) -> tuple[float, bool]:
-    """CPU seconds of a solver's process, with its start."""
+    """Return CPU seconds of a solver's process, with its start."""
     before = _of_children()
     with Solver(name, Limits(query=60.0, total=600.0)) as solver:
         answers = solver.ask_all([room for _ in range(times) for room in made])
@@ -143,7 +146,7 @@ def _answered(name: str, made: list[list[Obligation]], times: int) -> tuple[floa
 
 
 def _of_children() -> float:
-    """CPU seconds of all processes that were started and have ended."""
+    """Return CPU seconds of all child processes that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
@@ -153,7 +156,7 @@ def _robots(robots: int | None) -> str:
 
 
 def table_1(folder: Path, quick: bool) -> list[Row]:
-    """LineForm: the invariant with the bound on targets."""
+    """Measure Table 1: LineForm, the invariant with the bound on targets."""
     rows = []
     for dimensions in (2,) if quick else (1, 2, 3):
         program = program_of(lineform(dimensions, ("Motion.position", "x", "Motion.target")), folder)
@@ -167,15 +170,18 @@ def table_1(folder: Path, quick: bool) -> list[Row]:
 
 
 def weaker() -> dict[str, str]:
-    """The programs of Table 2. Its first two rows say nothing of the environment, so that a robot may be anywhere after
-    a round: that is no step from a state that might never be, but a run from the beginning, and so FALSIFIED."""
+    """Return the programs of Table 2.
+
+    Its first two rows assume nothing of the environment, so a robot may be anywhere after a round. That is a run from
+    an initial state, not only a step from an unreachable one, so the verdict is FALSIFIED.
+    """
     strong, weak = ("Motion.position", "x"), ("Motion.position",)
     cases = {"E, I": (strong, ""), "E, WI": (weak, ""), "E, A, WI": (weak, ASSUME)}
     return {case: lineform(2, variables, assume) for case, (variables, assume) in cases.items()}
 
 
 def table_2(folder: Path) -> list[Row]:
-    """What is too weak: with a counterexample that was replayed, and what is lacking."""
+    """Measure Table 2: invariants that are too weak, with a replayed counterexample and the missing assumption."""
     rows = []
     for case, text in weaker().items():
         program = program_of(text, folder)
@@ -204,7 +210,7 @@ def study(table: str, case: str, published: dict[int, tuple[float, float]], quic
 
 
 def _run(arguments: tuple[str, ...], environment: dict[str, str], status: int = 0) -> Taken:
-    """Wall and CPU seconds of a command and of all that it started."""
+    """Return wall-clock and CPU seconds of a command and its children."""
     before, began = _of_children(), time.perf_counter()
     done = subprocess.run([sys.executable, "-m", "koordgen", *arguments], cwd=ROOT, env=environment,
                           capture_output=True)  # fmt: skip
@@ -219,7 +225,7 @@ def _medians(taken: list[Taken]) -> Taken:
 
 
 def beyond_check(repeats: int, environment: dict[str, str]) -> dict[str, Taken]:
-    """Wall and CPU seconds that `prove` takes beyond `check` on the case studies: medians, runs taken in turn."""
+    """Return wall-clock and CPU seconds of `prove` beyond `check` on the case studies: medians of runs in turn."""
     found = {}
     for case, name in STUDIES.items():
         runs: dict[str, list[Taken]] = {"check": [], "prove": []}
@@ -233,7 +239,7 @@ def beyond_check(repeats: int, environment: dict[str, str]) -> dict[str, Taken]:
 
 
 def together(repeats: int, environment: dict[str, str]) -> Taken:
-    """The case studies in one process, beyond the start of Python and the front end: the median of some processes."""
+    """Return the time of the case studies in one process, beyond the start of Python and the front end (median)."""
     names = [f"examples/{name}.koord" for name in STUDIES.values()]
     taken = []
     for _ in range(repeats + 1):
@@ -245,7 +251,7 @@ def together(repeats: int, environment: dict[str, str]) -> Taken:
 
 
 def large(repeats: int, environment: dict[str, str]) -> dict[str, Taken]:
-    """Wall and CPU seconds of whole commands: the case studies for a number of robots, and Table 2."""
+    """Return wall-clock and CPU seconds of whole commands: the case studies for a number of robots, and Table 2."""
     found = {}
     for case, name in STUDIES.items():
         for robots in LARGE:
@@ -281,7 +287,7 @@ def main() -> None:
         print(f"{case}: z3 for 15 robots takes {ratio:.1f} times what it takes for any number")
     with tempfile.TemporaryDirectory() as folder:
         environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-        environment["PYTHONPYCACHEPREFIX"] = folder  # Python keeps its compiled modules, as where koordgen is installed
+        environment["PYTHONPYCACHEPREFIX"] = folder  # keep byte code, as in an installed koordgen
         beyond = beyond_check(3 if options.quick else 9, environment)
         one = together(3 if options.quick else 9, environment)
         told = {**beyond, "the three commands": _sum(beyond), "the three in one process": one}
@@ -332,7 +338,7 @@ def _sum(beyond: dict[str, Taken]) -> Taken:
 
 
 def _ratios(rows: list[Row]) -> dict[str, float]:
-    """Of the solver's time, where both were made: written out for 15 robots, and for any number."""
+    """Return the ratios of the solver's time for 15 robots, written out, to that for any number."""
     times = {(row.case, row.how, row.robots): row.z3 for row in rows if row.table != "2"}
     return {
         case: seconds / times[case, "any", "any"]

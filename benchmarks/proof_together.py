@@ -1,5 +1,7 @@
-"""One process that proves programs for any number of robots, one after the other: prints the wall and CPU seconds that
-this takes beyond the start of Python and the front end. `proof_tables.py` runs it: `proof_together.py APP.koord...`."""
+"""Proof of several programs in one process, for any number of robots: `proof_together.py APP.koord...`.
+
+Prints wall-clock and CPU seconds beyond the start of Python and the front end. `proof_tables.py` runs it.
+"""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
-"""Measure the socket I/O in C against the same in Python: `python benchmarks/protocol_parts.py [--quick]`.
+"""Comparison of the socket I/O in C with that in Python: `python benchmarks/protocol_parts.py [--quick]`.
 
-Variants, in turns, in one run:
+Variants, which take turns in one run:
 
-    socket_batch      the product as it is: waiting, receiving and sending by socket_batch.c
-    no socket_batch   the same by Python's socket module, as where there is no C compiler
+    socket_batch      the product: socket_batch.c waits, receives and sends
+    no socket_batch   Python's socket module, as on a computer without a C compiler
 
 Three figures for each: time to consistency (median over robots and rounds), CPU of a robot's round (median over
-robots), and the round trip of an update between two robots. One robot a process, full stack of the shared memory
-without agents around it (see peers_memory). Ratios are to `socket_batch`; more than 1 is slower. What other parts in C
-bought when there were more is in docs/adr/0048-what-each-part-in-c-buys.md.
+robots), and the round trip of an update between two robots. Each robot has its own process with the full stack of the
+shared memory, without an agent (see peers_memory). Ratios are relative to `socket_batch`; more than 1 is slower.
+docs/adr/0048-what-each-part-in-c-buys.md has figures of other parts that once were in C.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from benchmarks.shared_memory import Failed, round_trip, rounds
 
 FLEETS = ((5, 0.1), (5, 0.01), (16, 0.01), (32, 0.05))  # robots, delta (s)
 BASE = "socket_batch"
-VARIANTS = {BASE: True, "no socket_batch": False}  # whether the sockets are read by C
+VARIANTS = {BASE: True, "no socket_batch": False}  # True if C code reads the sockets
 
 
 def figures(variant: str, n: int, delta: float, count: int) -> dict[str, float]:
-    """Raises Failed."""
+    """Return the figures of one run. Raises Failed."""
     found = rounds(partial(open_memory, native=VARIANTS[variant]), n, delta, count)
     return {"consistency_ms": statistics.median(found.took) * 1e3, "cpu_us": found.cpu * 1e6, "missed": found.missed}
 
 
 def trip(variant: str, count: int) -> dict[str, float]:
-    """Raises Failed."""
+    """Return the round-trip time. Raises Failed."""
     return {"round_trip_us": round_trip(partial(open_update, native=VARIANTS[variant]), count) * 1e6}
 
 
 def measure(label: str, runs: int, one: Callable[[str], dict[str, float]]) -> dict[str, dict[str, float]]:
-    """Medians over runs that take turns; prints a table with ratios to BASE."""
+    """Print a table of medians over runs that take turns, with ratios to BASE."""
     found: dict[str, list[dict[str, float]]] = {variant: [] for variant in VARIANTS}
     for _ in range(runs):
         for variant, runs_of in found.items():

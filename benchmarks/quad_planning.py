@@ -48,7 +48,7 @@ from targets.planning.world import Path, World
 
 
 def tight(path: Path, here: Room) -> float:
-    """The length of a way pulled tight by many short cuts."""
+    """Return the length (m) of a path after shortening it by many random short cuts."""
     dice, points = random.Random(1), list(path)
     for _ in range(3000):
         lengths = np.cumsum([0.0, *(distance(p, q) for p, q in pairwise(points))])
@@ -64,7 +64,7 @@ def tight(path: Path, here: Room) -> float:
 
 
 def peer(path: str | None, bodies: tuple[Obstacle, ...], seed: int) -> Path | None:
-    """The peer's path; None when there is none. Its obstacles are ours: it asks for the distance of points."""
+    """Return the peer's path, or None. It checks our obstacles by their distances from points."""
     if path not in sys.path and path is not None:
         sys.path.insert(0, path)
     from rrt_algorithms.rrt.rrt_connect import RRTConnect  # type: ignore[import-not-found]
@@ -88,7 +88,7 @@ def peer(path: str | None, bodies: tuple[Obstacle, ...], seed: int) -> Path | No
 
 
 def checks(bodies: tuple[Obstacle, ...]) -> dict[str, float]:
-    """Microseconds for looking at a line of random length: ours, exact, and python-fcl's capsule and manager."""
+    """Return microseconds to check a line of random length: ours (exact), and python-fcl's capsule and manager."""
     source = random.Random(1)
     lo, hi = ARENA.lo, ARENA.hi
     ends = [
@@ -114,7 +114,7 @@ def checks(bodies: tuple[Obstacle, ...]) -> dict[str, float]:
 
 
 def plans(seeds: list[int], peer_path: str | None) -> tuple[list[dict[str, Any]], list[int]]:
-    """A row for each arena that is solvable, and the seeds of those that are not."""
+    """Return a row for each solvable arena, and the seeds of the others."""
     rows, unsolvable = [], []
     for seed in seeds:
         bodies = arena(seed)

@@ -41,12 +41,12 @@ HEIGHT, ROOM = 2.0, 12.0
 CLIMB = 0.7  # m/s
 TICK = 0.05
 RADIUS, SPEED = 2.0, 0.8
-Way = Callable[[float], tuple[Point, Point]]  # time to position and velocity, about where the vehicle took off
+Way = Callable[[float], tuple[Point, Point]]  # time -> position and velocity, relative to the take-off
 
 
 @dataclass(frozen=True)
 class Row:
-    """`most` and `least` are what it may be; None: it is only told. `observed` is ArduPilot 4.7's."""
+    """One figure, with ArduPilot 4.7's in `observed`. `most`, `least`: allowed range; None if it is only reported."""
 
     name: str
     value: float
@@ -64,7 +64,7 @@ class Simulated:
     """The simulated autopilot and its clock."""
 
     def __init__(self) -> None:
-        from benchmarks.fixtures.quad_rig import ORIGIN, Rig  # the robot's side of this benchmark needs no simulator
+        from benchmarks.fixtures.quad_rig import ORIGIN, Rig  # not needed with --connect
 
         self.rig = Rig(position=(0.0, 0.0, 0.0))
         self.link = Link(self.rig.wire)
@@ -78,7 +78,7 @@ class Simulated:
 
 
 class Connected:
-    """An autopilot by URL and the machine's clock; the frame's origin is where the vehicle stands."""
+    """An autopilot at a URL and the computer's clock. The frame's origin is the initial position of the vehicle."""
 
     def __init__(self, url: str) -> None:
         self.link = Link(opened(url))
@@ -108,7 +108,7 @@ class Connected:
 
 
 class Pilot:
-    """One flight, and the rows measured on it."""
+    """One flight, with the rows measured on it."""
 
     def __init__(self, world: Simulated | Connected, url: str) -> None:
         self.world, self.link, self.frame = world, world.link, world.frame
@@ -132,7 +132,7 @@ class Pilot:
         return self.telemetry.position or Point()
 
     def tick(self, motion: Motion | None = None) -> None:
-        """The world goes on; then what an agent does in one poll."""
+        """Advance the world, then run one poll of an agent."""
         self.world.tick()
         began, now = time.process_time(), self.world.now()
         self.flight.poll(now)
@@ -141,7 +141,7 @@ class Pilot:
             self.cpu, self.flown = self.cpu + time.process_time() - began, self.flown + TICK
 
     def command(self, motion: Motion, *points: Point) -> None:
-        """As a program does it."""
+        """Command a target as a program does."""
         began = time.process_time()
         motion.command(points, self.world.now())
         self.cpu += time.process_time() - began
@@ -166,7 +166,7 @@ class Pilot:
         raise Unready(f"not landed after 90 s: {self.flight.progress}")
 
     def go(self, p: Point, motion: Motion | None = None) -> None:
-        """Fly there with our own layer, and wait until all is still."""
+        """Fly to a point with our own layer, and wait until the vehicle is still."""
         motion = motion or self.motion()
         self.command(motion, p)
         for _ in range(round(40 / TICK)):
@@ -177,7 +177,7 @@ class Pilot:
             self.tick(motion)
 
     def errors(self, way: Way, seconds: float, each: Callable[[int, Point, Point], Motion | None]) -> list[float]:
-        """Tick by tick: `each` sends or commands the way's position and velocity. The distances to it."""
+        """Return the distances from the reference at each tick. `each` sends or commands its position and velocity."""
         found = []
         for i in range(round(seconds / TICK)):
             p, v = way(i * TICK)
@@ -186,7 +186,7 @@ class Pilot:
         return found
 
     def plain(self, way: Way, seconds: float, moving: bool, every: int = 1) -> list[float]:
-        """Setpoints by hand, one in so many ticks."""
+        """Send setpoints directly, one in so many ticks."""
         self.go(way(0.0)[0])
 
         def each(i: int, p: Point, v: Point) -> None:
@@ -198,7 +198,7 @@ class Pilot:
         return found
 
     def ours(self, way: Way, seconds: float, shaping: Shaping = ARDUPILOT, every: int = 1) -> list[float]:
-        """Our layer, which is commanded a target in each of so many ticks, as a program does it."""
+        """Command a target to our layer, one in so many ticks, as a program does."""
         motion = self.motion(shaping)
         self.go(way(0.0)[0], motion)
 
@@ -210,7 +210,7 @@ class Pilot:
         return self.errors(way, seconds, each)
 
     def lap(self) -> list[float]:
-        """A circle as a path of 48 points: the distances from the circle."""
+        """Fly a circle as a path of 48 points. Return the distances from the circle."""
         motion = self.motion(speed=SPEED)
         self.go(circle(0.0)[0], motion)
         points = tuple(circle(i / 48 * math.tau * RADIUS / SPEED)[0] for i in range(1, 49))
@@ -222,7 +222,7 @@ class Pilot:
         return found
 
     def step(self, shaping: Shaping = ARDUPILOT) -> tuple[float, float]:
-        """A target 1 m away: by how much it is passed, and after how many seconds it is `reached`."""
+        """Command a target 1 m away. Return the overshoot (m), and the seconds until it is `reached`."""
         motion = self.motion(shaping)
         self.go(Point(0.0, 0.0, HEIGHT), motion)
         began, start = self.world.now(), self.at
@@ -235,7 +235,7 @@ class Pilot:
         return furthest - 1.0, reached
 
     def stopped(self) -> float:
-        """A target that goes at 0.5 m/s and then stops dead: by how much it is passed."""
+        """Command a target that moves at 0.5 m/s and stops at once. Return the overshoot (m)."""
         motion = self.motion()
         self.go(carrot(0.0)[0], motion)
         for i in range(round(6 / TICK)):
@@ -249,12 +249,12 @@ class Pilot:
 
 
 def carrot(t: float) -> tuple[Point, Point]:
-    """0.5 m/s to the west, from 3 m east of the start."""
+    """Move at 0.5 m/s to the west, from 3 m east of the start."""
     return Point(3.0 - 0.5 * t, 0.0, HEIGHT), Point(-0.5)
 
 
 def circle(t: float) -> tuple[Point, Point]:
-    """Through the start, its centre west of it."""
+    """Move on a circle through the start; its centre is west of it."""
     turn = t * SPEED / RADIUS
     return (
         Point(RADIUS * math.cos(turn) - RADIUS, RADIUS * math.sin(turn), HEIGHT),
@@ -267,7 +267,7 @@ def mean(values: list[float]) -> float:
 
 
 def measured(pilot: Pilot, quick: bool) -> list[Row]:
-    """All rows, in the order in which they are flown."""
+    """Return all rows, in the order of the flight."""
     straight, turns = (9.0, 16.0) if quick else (12.0, 32.0)
 
     def told(row: Row) -> Row:
@@ -307,7 +307,7 @@ def measured(pilot: Pilot, quick: bool) -> list[Row]:
 
 
 def scaled(shaping: Shaping, share: float) -> Shaping:
-    """As if the autopilot were so much quicker or slower than it is taken for."""
+    """Scale our model of the autopilot, as if it were that much faster or slower than assumed."""
     late, lead = ((a * share, b * share) for a, b in (shaping.late, shaping.lead))
     return Shaping(late, lead, shaping.delay * share, shaping.ahead)
 

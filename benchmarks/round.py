@@ -1,8 +1,8 @@
 """CPU cost of an agent's round, beside the bare exchange of the same bytes: `python benchmarks/round.py`.
 
 Five agents run LineForm on the in-memory transport: event, shared memory, MAC, trace, a monitor hook, polls of a body
-that does nothing. In the same run: the same five datagrams a round over loopback UDP, sealed and unpacked with msgpack
-and BLAKE2s and nothing else, and pickled without any authentication, as the earlier open middleware did.
+that does nothing. In the same run, the same five datagrams of a round are sent over loopback UDP: once sealed and
+packed with msgpack and BLAKE2s and nothing else, and once pickled without authentication, as older open middleware did.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ Update = tuple[int, int, list[float], int]
 
 
 class Still(FakePlatform):
-    """Polled once a round: what a body costs is its target's business."""
+    """Body that is polled once a round and does nothing: the cost of a real body belongs to its target."""
 
     period = 0.1
 
 
 def agents(rounds: int) -> float:
-    """Seconds of CPU in one agent's round."""
+    """Return CPU seconds of one agent's round."""
     fleet = Fleet(n=N, conditions=Conditions(delay=0.001), program=PROGRAM)
     for pid in range(N):
         fleet.boot(pid, Still(Point(float(pid))))
@@ -50,7 +50,7 @@ def agents(rounds: int) -> float:
 
 
 def exchange(rounds: int, pack: Callable[[Update], bytes], unpack: Callable[[bytes], Update]) -> float:
-    """Seconds of CPU for one robot's share of a round: pack once, send to the others, receive and unpack theirs."""
+    """Return CPU seconds of one robot's share of a round: pack once, send to the others, receive and unpack theirs."""
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(N)]
     try:
         for s in sockets:

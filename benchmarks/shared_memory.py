@@ -1,26 +1,26 @@
-"""What shared memory costs, beside its peers in the same run: `python benchmarks/shared_memory.py [--quick]`.
+"""Cost of shared memory, beside its peers in the same run: `python benchmarks/shared_memory.py [--quick]`.
 
-1. Round trip of an update (encode, MAC, UDP, verify, decode, apply) between two robots, each on a core of its own (two
-   robots are two computers; left to the scheduler both land on one core now and then, where nothing has to be woken),
-   beside raw UDP with as many bytes, Zenoh and CycloneDDS.
+1. Round trip of an update (encode, MAC, UDP, verify, decode, apply) between two robots, beside raw UDP with as many
+   bytes, Zenoh and CycloneDDS. Each robot has its own core: two robots are two computers, and without this the
+   scheduler sometimes puts both on one core, where nothing has to be woken.
 2. Time to consistency: 16 robots, rounds of 10 ms, from the tick until a robot has the other 15 updates.
-3. The largest fleet in which every robot has every update before the next tick; at real-time priority where the system
-   allows it, for all alike.
-4. Rounds of 10 ms of four whole agents: how many entries leave late.
+3. The largest fleet in which every robot has every update before the next tick; at real-time priority for all, if the
+   system allows it.
+4. Four whole agents with rounds of 10 ms: number of entries that are sent late.
 
-One harness drives all of them alike. In 2 and 3 ours is the shared memory's full stack (see `peers_memory`); whole
-agents, with sensors, events, monitors, trace and journal, stand beside it and are not judged, since the peers have none
-of it. A round in which one of ours had no update counts as one that was never consistent.
+One harness drives all of them in the same way. In parts 2 and 3, ours is the full stack of the shared memory (see
+`peers_memory`). Whole agents, with sensors, events, monitors, trace and journal, are printed beside it without a
+target, since the peers have none of these. A round in which one of our robots had no update counts as never
+consistent.
 
-Raw UDP means blocking sockets, and the peers wait so, too. Nearly all of that time is to wake an idle core: with both
-sides polling without a pause it takes a fifth or less, which is printed and not judged. Ours looks for a datagram for
-0.2 ms at most before it sleeps, as long as that pays (see "Sockets" in docs/explanation/shared-memory.md): most of what
-it gains in the round trip comes of that.
+Raw UDP means blocking sockets, and the peers wait in the same way. Nearly all of that time is needed to wake an idle
+core: if both sides poll without a pause it takes a fifth or less, which is printed without a target. Ours polls for at
+most 0.2 ms before it sleeps, as long as that saves time (see "Sockets" in docs/explanation/shared-memory.md); this is
+the main reason for its shorter round trip.
 
-Ours runs compiled, as on a robot after `--compile`; with `--interpreted` it does not.
-
-Figures are medians over runs that take turns. The peers come with `pip install 'koordgen[bench]'`; without them our
-figures stand alone.
+Ours runs compiled, as on a robot after `--compile`; with `--interpreted` it does not. Figures are medians over runs
+that take turns. The peers are installed with `pip install 'koordgen[bench]'`; without them only our figures are
+printed.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ from koordgen.runtime.net import inbox
 KOORDGEN, UNICAST, PLAIN, AGENTS = "koordgen", "koordgen, unicast", "koordgen, Python sockets", "koordgen, whole agents"
 WHOLE_MEMORY = "koordgen, full stack"
 RAW, POLLED = "raw", "raw, both sides polling"
-BESIDE = {UNICAST, PLAIN, AGENTS, POLLED, WHOLE_MEMORY}  # what is printed and not judged
-DISTURBED = 4  # tries more
+BESIDE = {UNICAST, PLAIN, AGENTS, POLLED, WHOLE_MEMORY}  # printed, without a target
+DISTURBED = 4  # additional tries
 LONG = 3.0  # seconds of each run of part 3: some 45 runs of 5 to 15 s in all
 SIZE = 230  # bytes of a robot's update
 TARGETS = {0.01: 24, 0.05: 64, 0.1: 96}  # delta (s) -> robots
-SIZES = {  # delta (s) -> fleets that are tried; seven are three steps of a bisection
+SIZES = {  # delta (s) -> sizes of fleets; seven sizes need three steps of bisection
     0.01: (4, 8, 12, 16, 20, 24, 32),
     0.05: (12, 16, 24, 32, 48, 64, 80),
     0.1: (16, 32, 48, 64, 80, 96, 128),
@@ -71,7 +71,7 @@ Figures = dict[str, Any]
 
 
 def free_ports(n: int) -> list[int]:
-    """Ports that are free for UDP and TCP, below those that the kernel gives to connections."""
+    """Return ports that are free for UDP and TCP, below those that the kernel assigns to connections."""
     found: list[int] = []
     for port in range(random.randrange(10_000, 25_000), 32_000):
         with suppress(OSError), ExitStack() as stack:
@@ -84,12 +84,14 @@ def free_ports(n: int) -> list[int]:
 
 
 class Failed(Exception):
-    """A run that did not come to its end; the message says why."""
+    """Raised for a run that did not finish. The message gives the reason."""
 
 
 def together(work: Callable[..., Any], n: int, limit: float) -> list[Any]:
-    """`work(pid, ports, barrier, start)` in n processes, with a port for each and one more; their results. Raises
-    Failed."""
+    """Run `work(pid, ports, barrier, start)` in n processes. Return their results. Raises Failed.
+
+    Each process has a port, and there is one more for the group.
+    """
     ports, barrier, start = free_ports(n + 1), _processes.Barrier(n), _processes.Value("d", 0.0)
     ends = [_processes.Pipe(duplex=False) for _ in range(n)]
 
@@ -124,7 +126,7 @@ def together(work: Callable[..., Any], n: int, limit: float) -> list[Any]:
 
 
 def round_trip(make: Make, count: int, size: int = SIZE) -> float:
-    """Median seconds."""
+    """Return the median round-trip time (s)."""
 
     def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> list[float]:
         cores = sorted(os.sched_getaffinity(0))
@@ -133,7 +135,7 @@ def round_trip(make: Make, count: int, size: int = SIZE) -> float:
         if not isinstance(exchange, Raw):
             meet(exchange, 2)
             barrier.wait()
-            time.sleep(0.3)  # nothing is under way any more
+            time.sleep(0.3)  # until no datagram is in transit
             exchange.take(0.0)
         settle_collector()
         barrier.wait()
@@ -154,8 +156,10 @@ def agents(transport: str, n: int, delta: float, count: int, patience: float = 6
 
 @dataclass(frozen=True)
 class Rounds:
-    """Of all robots: seconds to consistency of each round, infinite when somebody had no update in it; the rounds that
-    robots missed; seconds of CPU in one robot's round (median)."""
+    """Results of all robots: seconds to consistency of each round, missed rounds, and CPU seconds of one robot's round.
+
+    A round in which a robot had no update has infinite time. CPU is the median.
+    """
 
     took: list[float]
     missed: int
@@ -163,7 +167,7 @@ class Rounds:
 
 
 def rounds(make: Make, n: int, delta: float, count: int) -> Rounds:
-    """Raises Failed."""
+    """Run rounds. Return their results. Raises Failed."""
     warm = warm_up(delta)
 
     def work(pid: int, ports: Sequence[int], barrier: Any, start: Any) -> tuple[list[float], list[int], float]:
@@ -191,7 +195,7 @@ def rounds(make: Make, n: int, delta: float, count: int) -> Rounds:
 
 
 def whole_agents(network: str, n: int, delta: float, count: int, patience: float = 20.0) -> Rounds:
-    """Raises Failed."""
+    """Run rounds of whole agents. Return their results. Raises Failed."""
     robots = agents(network, n, delta, count, patience)
     return Rounds(
         [t for robot in robots for t in robot["consistent"]],
@@ -200,7 +204,7 @@ def whole_agents(network: str, n: int, delta: float, count: int, patience: float
     )
 
 
-Measure = Callable[[int, float, int], Rounds]  # of n robots, rounds of delta seconds, so many
+Measure = Callable[[int, float, int], Rounds]  # (n robots, delta seconds, number of rounds) -> results
 OURS: dict[str, Measure] = {KOORDGEN: partial(rounds, open_memory)}
 OURS[UNICAST] = partial(rounds, partial(open_memory, network="unicast"))
 OURS[PLAIN] = partial(rounds, partial(open_memory, native=False))
@@ -208,7 +212,7 @@ WHOLE: Measure = partial(whole_agents, "multicast")
 
 
 def consistency(name: str, measure: Measure, n: int, delta: float, count: int) -> float:
-    """Median seconds. Raises Failed."""
+    """Return the median time to consistency (s). Raises Failed."""
     found = measure(n, delta, count)
     cpu = found.cpu
     print(f"  {name}: {cpu * 1e6:.0f} us of CPU in a robot's round, {cpu * n * 1e3:.1f} ms in the fleet's", end="")
@@ -217,17 +221,21 @@ def consistency(name: str, measure: Measure, n: int, delta: float, count: int) -
 
 
 def taken_away() -> int:
-    """For how long the host of this virtual machine has kept its cores from running, in ticks (10 ms) of all of them
-    (the eighth number in /proc/stat, see proc(5)); 0 where it says nothing."""
+    """Return for how long the host of this virtual machine kept its cores from running, in ticks (10 ms) of all cores.
+
+    It is the eighth number in /proc/stat, see proc(5); 0 if it is not there.
+    """
     with suppress(OSError, IndexError, ValueError):
         return int(Path("/proc/stat").read_text().split(maxsplit=9)[8])
     return 0
 
 
 def keeps(name: str, measure: Measure, n: int, delta: float, count: int, tries: int = 2) -> bool:
-    """Whether each robot had each round's updates of all others before the next tick. There are two tries, since others
-    may disturb one, and of what is judged up to DISTURBED more for such in which the host took cores away; where half
-    of the rounds took too long nobody else is to blame."""
+    """Return whether each robot had each round's updates of all others before the next tick.
+
+    There are two tries, because other processes may disturb one. Of fleets with a target there are up to DISTURBED
+    more, for tries in which the host took cores away. If half of the rounds took too long, the fleet fails at once.
+    """
     disturbed = DISTURBED if name in BESIDE else 0
     while tries:
         before = taken_away()
@@ -250,7 +258,7 @@ def keeps(name: str, measure: Measure, n: int, delta: float, count: int, tries: 
 
 
 def largest(name: str, measure: Measure, delta: float, count: int) -> int:
-    """The largest of SIZES that keeps its rounds, by bisection."""
+    """Return the largest fleet of SIZES that keeps its rounds, found by bisection."""
     sizes = SIZES[delta]
     low, high = -1, len(sizes)
     while high - low > 1:
@@ -263,7 +271,7 @@ def largest(name: str, measure: Measure, delta: float, count: int) -> int:
 
 
 def in_turn(runs: int, measured: Mapping[str, Callable[[], float]]) -> dict[str, float]:
-    """The median of each over `runs` runs that take turns; one that failed counts as infinite."""
+    """Return the median of each measure over `runs` runs that take turns; a failed run counts as infinite."""
     found: dict[str, list[float]] = {name: [] for name in measured}
     for _ in range(runs):
         for name, measure in measured.items():
@@ -277,7 +285,7 @@ def in_turn(runs: int, measured: Mapping[str, Callable[[], float]]) -> dict[str,
 
 def part_round_trip(peers: Sequence[str], quick: bool) -> Figures:
     count, runs = (2000, 1) if quick else (5000, 5)
-    size = 330  # of a datagram with the update in it
+    size = 330  # bytes of a datagram with the update
     measured = {RAW: partial(round_trip, Raw, count, size), KOORDGEN: partial(round_trip, open_update, count)}
     measured |= {name: partial(round_trip, PEERS[name], count) for name in peers}
     measured[WHOLE_MEMORY] = partial(round_trip, partial(open_memory, network="unicast"), count)
@@ -312,9 +320,10 @@ def part_consistency(peers: Sequence[str], quick: bool) -> Figures:
 
 @contextmanager
 def ahead_of_others() -> Iterator[None]:
-    """Run at the lowest real-time priority, and with it all processes that are started, where the system allows it.
+    """Run this process and its children at the lowest real-time priority, if the system allows it.
 
-    A process that takes one of two cores for 10 ms takes a round from a fleet that needs both for half of the time.
+    Reason: if another process occupies one of two cores for 10 ms, a fleet that needs both cores half of the time
+    misses a round.
     """
     policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
     with suppress(PermissionError):
@@ -371,7 +380,7 @@ def tell(what: str, figure: float, how: str, target: float) -> None:
 
 
 def finite(figures: Any) -> Any:
-    """JSON knows no infinity."""
+    """Replace infinity, which JSON does not have."""
     if isinstance(figures, dict):
         return {name: finite(figure) for name, figure in figures.items()}
     return figures if figures is None or math.isfinite(figures) else None
@@ -389,7 +398,7 @@ def main() -> int:
         restart_compiled()
     if arguments.plain:
         without_courier()
-    if reason := inbox.accelerator():  # else it is compiled by now, for all processes
+    if reason := inbox.accelerator():  # without a reason, it is compiled now, for all processes
         print(f"ours is plain Python: {reason}")
     absent = peers_exchange.missing()
     for text in absent.values():

@@ -1,10 +1,9 @@
-"""How fast the simulated world is: `python benchmarks/sim.py [--quick] [--json FILE] [--gym-pybullet-drones PATH]`.
+"""Speed of the simulated world: `python benchmarks/sim.py [--quick] [--json FILE] [--gym-pybullet-drones PATH]`.
 
-First the physics alone, one step of 25 robots beside others who step as many; a lidar's turn beside PyBullet's; how
-many times faster than real time the physics is at 1, 4, 16 and 64 robots. Then whole runs in lockstep, agents included.
-Peers that are not there are left out, and it says so. All times are CPU time of this process: what else runs on the
-computer counts little, and on one that does nothing else it is the time that passes. Ends with 1 when a figure is not
-reached.
+Measured first is the physics alone: a step of 25 robots beside other simulators with as many; a lidar's turn beside
+PyBullet's; the factor to real time at 1, 4, 16 and 64 robots. Then whole runs in lockstep, with agents. Peers that are
+not installed are left out, and the output says so. All times are CPU time of this process: other load on the computer
+counts little, and on an idle one it is the wall-clock time. Exit status 1: a target was missed.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import sim_lockstep, sim_physics
 
 COUNTS = (1, 4, 16, 64)
-MOST_HARNESS = 0.6  # of a core
+MOST_HARNESS = 0.6  # share of a core
 
 
 def _physics(turns: int, drones: Path | None) -> tuple[bool, dict[str, object]]:
@@ -55,7 +54,7 @@ def _factors(turns: int) -> dict[str, object]:
 
 
 def _lockstep(quick: bool) -> tuple[bool, dict[str, object]]:
-    """Quads that fly LineForm."""
+    """Measure quads that fly LineForm in lockstep."""
     print("lockstep, agents included: simulated seconds by seconds of CPU, and what these went to")
     good, found = True, dict[str, object]()
     for fidelity, least in (("simple", 8.0), ("full", 2.0)):

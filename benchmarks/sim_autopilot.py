@@ -1,7 +1,7 @@
 """CPU of a simulated autopilot at 240 Hz, as a share of a core: `python benchmarks/sim_autopilot.py`.
 
-It flies a point mass and talks over loopback UDP to a client with an agent's habits: setpoints at 20 Hz, the agent's
-streams, a heartbeat a second. Only the autopilot's own steps are counted. Fails where they take more than `BUDGET`.
+It flies a point mass and talks over loopback UDP to a client that behaves like an agent: setpoints at 20 Hz, the
+agent's streams, a heartbeat a second. Only the steps of the autopilot are counted. Exit status 1: more than `BUDGET`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from targets.sim.autopilots.autopilot import SimulatedAutopilot
 from targets.sim.base.bodies import DeviceContext
 from targets.sim.base.ports import UdpPort
 
-BUDGET = 0.04  # of a core
+BUDGET = 0.04  # share of a core
 POSITION_VELOCITY = 0xDC0
 
 
 class Client:
-    """The autopilot, its body and whom it talks to, on a simulated clock."""
+    """The autopilot, its body and the client that it talks to, on a simulated clock."""
 
     def __init__(self) -> None:
         port = UdpPort()
@@ -43,7 +43,7 @@ class Client:
         self.messages = 0
 
     def fly(self, seconds: float, setpoints: bool) -> float:
-        """Seconds of CPU in the autopilot."""
+        """Return the CPU seconds of the autopilot."""
         spent = 0.0
         for _ in range(round(seconds / STEP)):
             self._steps += 1
@@ -71,7 +71,7 @@ class Client:
         self.fly(0.1, False)
 
     def greet(self) -> None:
-        """Wait for the first heartbeat, and learn where it comes from."""
+        """Wait for the first heartbeat, and record its sender's address."""
         self.autopilot.step(STEP)
         self._address = self._socket.recvfrom(2048)[1]
         self._socket.setblocking(False)
@@ -86,7 +86,7 @@ class Client:
 
 
 def measured(seconds: float) -> dict[str, float]:
-    """The share of a core, and the messages a second that it sent."""
+    """Return the share of a core, and the number of messages sent per second."""
     client = Client()
     client.greet()
     client.fly(3.0, False)

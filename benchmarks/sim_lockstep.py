@@ -1,7 +1,7 @@
-"""What a run in lockstep costs, agents included: for benchmarks/sim.py.
+"""Cost of a run in lockstep, agents included; part of benchmarks/sim.py.
 
-The program is LineForm (examples/lineform): every robot tells where it is and goes to the middle of its neighbours, in
-every round of 0.1 s. Only the mission counts, from round 1 on; loading, take-off, rest and report do not.
+The program is LineForm (examples/lineform): in every round of 0.1 s each robot publishes its position and goes to the
+middle of its neighbours. Only the mission is measured, from round 1 on: no loading, take-off, safe stop and report.
 """
 
 from __future__ import annotations
@@ -28,8 +28,10 @@ PROGRAM = Path(__file__).parents[1] / "examples" / "lineform" / "lineform.koord"
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Seconds simulated, of the host's clock, of this process's CPU, and of that in the world and its devices; each
-    part's share of the time since the launch."""
+    """Times of a mission (s): simulated, wall clock, CPU of this process, CPU of world and devices.
+
+    It also has the share of each part in the time since the launch.
+    """
 
     simulated: float
     host: float
@@ -39,17 +41,17 @@ class Mission:
 
     @property
     def factor(self) -> float:
-        """Simulated seconds per second of CPU: on an idle computer, times real time."""
+        """Simulated seconds per CPU second: on an idle computer, the factor to real time."""
         return self.simulated / self.cpu
 
     @property
     def harness(self) -> float:
-        """What a run in real time would need of a core for the world and its devices."""
+        """Share of a core that world and devices would need in a run in real time."""
         return self.scene / self.simulated
 
 
 def fleet(count: int, target: str) -> dict[str, Any]:
-    """So many robots 1.5 m apart, as the fleet file says it."""
+    """Return a fleet file with so many robots, 1.5 m apart."""
     places = [[1.5 * (k % 8) - 5.0, 1.5 * (k // 8) - 5.0, 0.0] for k in range(count)]
     robots = [
         {"name": f"r{k}", "target": target, "address": f"127.0.0.1:{47100 + k}", "start": {"position": place}}
@@ -64,7 +66,7 @@ def fleet(count: int, target: str) -> dict[str, Any]:
 
 
 def built(folder: Path, count: int, target: str) -> Path:
-    """The sim bundle."""
+    """Return the sim bundle."""
     file = folder / "fleet.yaml"
     file.write_text(json.dumps(fleet(count, target)))
     arguments = ["build", str(PROGRAM), "--fleet", str(file), "--target", "sim", "-o", str(folder / "build")]
@@ -74,7 +76,7 @@ def built(folder: Path, count: int, target: str) -> Path:
 
 
 def mission(count: int, target: str, fidelity: str, seconds: float) -> Mission:
-    """Run it in this process."""
+    """Run the bundle in this process."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         root = built(folder, count, target)
@@ -100,7 +102,7 @@ def mission(count: int, target: str, fidelity: str, seconds: float) -> Mission:
 
 
 class _Timer:
-    """Steps a scene and counts its CPU time."""
+    """Runs the steps of a scene, and measures their CPU time."""
 
     def __init__(self, scene: SimulationScene) -> None:
         self._scene = scene

@@ -1,7 +1,7 @@
-"""What one step of the world costs beside others who step the same: for benchmarks/sim.py.
+"""Cost of one step of the world, beside other simulators with the same step; part of benchmarks/sim.py.
 
-Times are CPU time of this process, so that what else runs on the computer counts little; ours and theirs alternate, and
-the median of the turns counts.
+Times are CPU time of this process, so other load on the computer counts little. Our steps and those of the others
+alternate, and the median is taken.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ Step = Callable[[], object]
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Milliseconds a step: ours, and the other's."""
+    """Milliseconds of a step: ours, and the other's."""
 
     name: str
     ours: float
     other: str
     theirs: float
-    least: float  # how many times as fast we must be
+    least: float  # least ratio of their time to ours
 
     @property
     def ratio(self) -> float:
@@ -51,7 +51,7 @@ class Pair:
 
 
 def timed(steps: list[Step], turns: int, each: int) -> list[float]:
-    """Milliseconds of CPU of one call of each, in turns of so many calls."""
+    """Return CPU milliseconds of one call of each, measured in turns of so many calls."""
     found: list[list[float]] = [[] for _ in steps]
     for step in steps:
         for _ in range(each):
@@ -66,13 +66,13 @@ def timed(steps: list[Step], turns: int, each: int) -> list[float]:
 
 
 def grid(count: int, height: float) -> list[tuple[float, float, float]]:
-    """Places 2 m apart."""
+    """Return positions 2 m apart."""
     side = math.ceil(math.sqrt(count))
     return [(2.0 * (k % side), 2.0 * (k // side), height) for k in range(count)]
 
 
 def quads(count: int) -> tuple[SimulatedWorld, Step]:
-    """Full ones that fly to and fro; each is commanded, and asked for its state, in every step."""
+    """Return quads with full dynamics that fly to and fro; each gets a command and returns its state in every step."""
     world = SimulatedWorld()
     flown = [SimulatedQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
     for quad in flown:
@@ -90,7 +90,7 @@ def quads(count: int) -> tuple[SimulatedWorld, Step]:
 
 
 def simple_quads(count: int) -> tuple[SimulatedWorld, Step]:
-    """As `quads`."""
+    """Return quads with simple dynamics, used as `quads`."""
     world = SimulatedWorld()
     flown = [SimpleQuadrotor(world, place, 0.1) for place in grid(count, 20.0)]
     for quad in flown:
@@ -108,7 +108,7 @@ def simple_quads(count: int) -> tuple[SimulatedWorld, Step]:
 
 
 def cars(count: int, make: type[SimulatedCar] | type[SimpleCarBody]) -> tuple[SimulatedWorld, Step]:
-    """Cars in circles; each is commanded, and asked for its state, in every step."""
+    """Return cars that drive in circles; each gets a command and returns its state in every step."""
     world = SimulatedWorld()
     driven = [make(world, place, 0.1, 0.33, 0.4) for place in grid(count, 0.0)]
 
@@ -123,9 +123,11 @@ def cars(count: int, make: type[SimulatedCar] | type[SimpleCarBody]) -> tuple[Si
 
 
 def gym_drones(folder: Path, count: int) -> Step:
-    """gym-pybullet-drones from a checkout: `CtrlAviary.step` of the CF2X with its usual physics (Physics.PYB) at 240 Hz
-    and as many control steps, in free air, with an action for each drone, which answers with their states. Raises
-    ImportError."""
+    """Return gym-pybullet-drones from a checkout. Raises ImportError.
+
+    Each step is `CtrlAviary.step` of the CF2X with its usual physics (Physics.PYB), at 240 Hz and as many control
+    steps, in free air, with an action for each drone; it returns the states.
+    """
     sys.path.insert(0, str(folder))
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -142,8 +144,11 @@ def gym_drones(folder: Path, count: int) -> Step:
 
 
 def racecars(count: int) -> tuple[Callable[[], None], Step]:
-    """PyBullet's racecar/racecar.urdf: in every step a velocity for each of its four wheels, a position for each of its
-    two hinges, and its position and velocity asked for; how to end it, and a step."""
+    """Return a function that ends PyBullet's racecar/racecar.urdf, and one that runs a step.
+
+    A step sets a velocity for each of four wheels and a position for each of two hinges, and reads position and
+    velocity.
+    """
     from targets.sim.physics.bullet import _pybullet
 
     bullet = _pybullet()
@@ -187,9 +192,12 @@ ROOM: tuple[Obstacle, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Lidars:
-    """A turn of 1,080 rays and 6 m of each of many cars among one another and 18 obstacles, from where they are to
-    their ranges: ours all at once, PyBullet's one after the other. How far (m) ours are from plane geometry, and which
-    share of PyBullet's is within a millimetre of ours where a ray meets at over 10 degrees: at faces, and round."""
+    """Times of a turn of 1,080 rays of 6 m for each of many cars, between one another and 18 obstacles.
+
+    Ours casts all rays at once, PyBullet one turn after the other. Also: the greatest difference (m) of ours from plane
+    geometry, and the share of PyBullet's rays within a millimetre of ours, for angles over 10 degrees, at faces and at
+    round bodies.
+    """
 
     pair: Pair
     single: float  # ms, one turn alone, of ours
@@ -199,7 +207,7 @@ class Lidars:
 
 
 def lidars(count: int, turns: int) -> Lidars:
-    """Measured."""
+    """Measure a turn of the lidars, see Lidars."""
     world = SimulatedWorld(engine=PYBULLET)
     for obstacle in ROOM:
         world.obstacle(obstacle)
@@ -217,7 +225,9 @@ def lidars(count: int, turns: int) -> Lidars:
     for car in driven:
         motion = car.motion()
         eyes.append(LidarMount((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
-        world.engine.take(car.rigid.number, motion.position, motion.orientation)  # its rays see those that it has
+        world.engine.take(
+            car.rigid.number, motion.position, motion.orientation
+        )  # PyBullet's rays use the poses in the engine
 
     def theirs() -> list[list[float]]:
         return [_cast(world, bullet, own, eye) for eye in eyes]
@@ -233,13 +243,13 @@ def lidars(count: int, turns: int) -> Lidars:
 
 
 def _near(apart: Sequence[list[float]]) -> float:
-    """The share of differences within a millimetre."""
+    """Return the share of differences within a millimetre."""
     each = [a for found in apart for a in found]
     return sum(a < MILLIMETRE for a in each) / len(each)
 
 
 def _cast(world: SimulatedWorld, bullet: Any, own: dict[str, int], eye: LidarMount) -> list[float]:
-    """PyBullet's rays, with the robot itself hidden from them."""
+    """Cast PyBullet's rays, with the robot itself hidden from them."""
     x, y, z = eye.place
     assert isinstance(world.engine, Bullet)
     number = world.engine.number(eye.unseen)
@@ -251,8 +261,10 @@ def _cast(world: SimulatedWorld, bullet: Any, own: dict[str, int], eye: LidarMou
 
 
 def _apart(eye: LidarMount, ours: list[float], theirs: list[float]) -> tuple[float, list[float], list[float]]:
-    """How far ours are from plane geometry at most, and theirs from ours at faces and at round things; see Lidars. Rays
-    that meet a car are not compared."""
+    """Return the greatest difference of ours from plane geometry, and theirs from ours at faces and at round bodies.
+
+    See Lidars. Rays that meet a car are not compared.
+    """
     geometry = 0.0
     faces: list[float] = []
     rounded: list[float] = []
@@ -260,17 +272,17 @@ def _apart(eye: LidarMount, ours: list[float], theirs: list[float]) -> tuple[flo
         ways = [to_obstacle(eye.place, math.tau * i / eye.rays, obstacle) for obstacle in ROOM]
         nearest = min(ways)
         if one < nearest - 1e-6 or not math.isfinite(one):
-            continue  # a car, or nothing
+            continue  # the ray meets a car or nothing
         geometry = max(geometry, abs(one - nearest))
         if max(_slope(ours, i), _slope(theirs, i)) >= 1 / math.tan(math.radians(10)):
-            continue  # it grazes, or passes an edge
+            continue  # the ray grazes a surface or passes an edge
         flat = isinstance(ROOM[ways.index(nearest)], (Block, Mesh))
         (faces if flat else rounded).append(abs(one - theirs[i]))
     return geometry, faces, rounded
 
 
 def _slope(ranges: list[float], i: int) -> float:
-    """How much steeper than across its ray the surface is there, from what the rays beside it met."""
+    """Return how much steeper than perpendicular to its ray the surface is, estimated from the neighbouring rays."""
     beside = ranges[i - 1], ranges[(i + 1) % len(ranges)]
     if not all(map(math.isfinite, (ranges[i], *beside))) or ranges[i] <= 0.0:
         return math.inf
@@ -278,7 +290,7 @@ def _slope(ranges: list[float], i: int) -> float:
 
 
 def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list[str]]:
-    """Ours beside theirs at so many robots, and what was left out."""
+    """Compare ours with the peers at so many robots. Return the pairs, and the peers that were left out."""
     pairs, left = [], []
     world, simple = cars(count, SimpleCarBody)
     end, step = racecars(count)
@@ -305,7 +317,7 @@ def peers(count: int, turns: int, drones: Path | None) -> tuple[list[Pair], list
 
 
 def factors(counts: tuple[int, ...], turns: int) -> dict[str, dict[int, float]]:
-    """How many times faster than real time the physics alone is, by kind and number of robots."""
+    """Return the factor to real time of the physics alone, by kind and number of robots."""
     kinds: dict[str, Callable[[int], tuple[SimulatedWorld, Step]]] = {
         "quads, full": quads,
         "quads, simple": simple_quads,

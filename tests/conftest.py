@@ -1,4 +1,4 @@
-"""Settings of the random tests and of signals, and the table of times that ends a run of the slow tests."""
+"""Settings of random tests and signals, and the table of times after a run of the slow tests."""
 
 from __future__ import annotations
 

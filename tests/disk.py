@@ -1,4 +1,4 @@
-"""A disk that is soon full."""
+"""A small file system that is soon full."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 @contextmanager
 def small_disk(folder: Path, size: str) -> Iterator[Path]:
-    """A file system of that size at `folder`, which is made; skips the test where this machine lets us mount none."""
+    """Mount a file system of that size at `folder`, which is created. Skip the test if mounting is not allowed."""
     folder.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(folder)], capture_output=True)
     if mounted.returncode:

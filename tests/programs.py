@@ -1,4 +1,4 @@
-"""Bundles built in memory for tests: LineForm for fleets of a target."""
+"""Bundles for tests, built in memory: LineForm for fleets of one target."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LINEFORM = ROOT / "examples/lineform/lineform.koord"
 
 
 def fleet_of(target: str, size: int = 2) -> Fleet:
-    """A fleet of one target, robots named `<target>-<pid>`, on loopback."""
+    """Return a fleet of one target on loopback; robots are named `<target>-<pid>`."""
     robots = "".join(
         f"  - {{name: {target}-{pid}, target: {target}, address: '127.0.0.1:{47900 + pid}'}}\n" for pid in range(size)
     )
@@ -40,7 +40,7 @@ def fleet_of(target: str, size: int = 2) -> Fleet:
 
 @cache
 def build(target: str, source: Path = LINEFORM) -> dict[str, Files]:
-    """A program's bundles for a fleet of two of this target."""
+    """Return a program's bundles for a fleet of two robots of this target."""
     program = check_file(str(source)).program
     ingredients = read_ingredients(
         program, source.read_bytes(), (manifest.load(target),), fleet_of(target), resources.package()
@@ -49,6 +49,6 @@ def build(target: str, source: Path = LINEFORM) -> dict[str, Files]:
 
 
 def settings_of(target: manifest.Target) -> Settings:
-    """Robot 0's settings of that fleet, as its agent reads them."""
+    """Return the settings of robot 0 in that fleet, as its agent reads them."""
     raw = json.loads(build(target.name)[f"{target.name}-0"]["settings.json"])
     return msgspec.convert(raw, Settings)

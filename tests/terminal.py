@@ -1,4 +1,4 @@
-"""A serial device whose other end is ours."""
+"""Pseudo terminal as a serial device, whose other end is in the test."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def terminal(seconds: int = 30) -> Iterator[tuple[int, str]]:
-    """Our end, and the path of the device. What takes longer than that many seconds with it hangs, and is ended."""
+    """Yield our end and the path of the device. A test that takes longer than so many seconds is ended."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     before = signal.signal(signal.SIGALRM, _hung)
@@ -27,7 +27,7 @@ def terminal(seconds: int = 30) -> Iterator[tuple[int, str]]:
 
 
 class Hung(BaseException):
-    """Nothing that is tested catches it, and it ends one test, not all."""
+    """Raised in a test that hangs. Tested code does not catch it, and other tests continue."""
 
 
 def _hung(number: int, frame: object) -> None:

@@ -1,4 +1,4 @@
-"""The house's floors: who may import whom, held by walking the imports."""
+"""Architecture: rooms import downwards only, checked on the syntax trees."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ HEAVY = {
 
 @cache
 def imports(path: Path) -> tuple[str, ...]:
-    """Every module that a file imports, also inside functions."""
+    """Return every module that a file imports, also inside functions."""
     return tuple(_imports(path))
 
 
@@ -98,7 +98,7 @@ MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix("
 
 
 def imported_modules(path: Path) -> set[str]:
-    """The modules of this repository that a file imports, without the packages that they stand in."""
+    """Return the modules of this repository that a file imports, without their packages."""
     found = set()
     for name in imports(path):
         while name and name not in MODULES:
@@ -108,12 +108,12 @@ def imported_modules(path: Path) -> set[str]:
 
 
 def room(module: str) -> str:
-    """The folder in which a module stands, with dots."""
+    """Return the folder of a module, as a dotted name."""
     return module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
 
 
 def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
-    """Sets of nodes that lead to one another, by removing what leads nowhere and what is led to from nowhere."""
+    """Return the nodes on cycles: nodes without a predecessor or successor are removed until none is left."""
     left = {node: {other for other in others if other != node} for node, others in graph.items()}
     while True:
         reached = set().union(*left.values()) if left else set()
@@ -144,7 +144,7 @@ def test_no_modules_import_one_another() -> None:
 
 
 def test_no_rooms_import_one_another() -> None:
-    """The package's own __init__ has the version alone, and __main__ calls the command line."""
+    """The package's __init__ has only the version, and __main__ only calls the command line."""
     graph: dict[str, set[str]] = {}
     for module, path in MODULES.items():
         if module not in ("koordgen", "koordgen.__main__"):
@@ -167,7 +167,7 @@ def test_folders_hold_few_modules() -> None:
 
 
 def test_each_room_says_what_it_is() -> None:
-    """What it owns, what it offers, what it must not import."""
+    """Each says what it owns, what it offers, and what it must not import."""
     for path in SOURCES:
         if (
             path.name == "__init__.py"
@@ -210,7 +210,7 @@ def test_the_runtime_is_an_island() -> None:
 
 
 def test_the_host_tool_is_an_island() -> None:
-    """It runs with whatever Python of 3.10 or later a robot has."""
+    """It runs with any Python of 3.10 or later that a robot has."""
     for path in HOST_TOOL.glob("*.py"):
         ast.parse(path.read_text(encoding="utf-8"), feature_version=(3, 10))
         for module in imports(path):
@@ -219,7 +219,7 @@ def test_the_host_tool_is_an_island() -> None:
 
 
 def files_of(module: str) -> Iterator[Path]:
-    """The files of this repository that importing a module, or a name of a module, executes."""
+    """Return the files of this repository that run when a module, or a name of a module, is imported."""
     place = ROOT
     for part in module.split("."):
         place /= part

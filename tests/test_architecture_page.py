@@ -1,4 +1,4 @@
-"""The page ARCHITECTURE.md: every name on it exists, and it answers the questions that are asked most."""
+"""ARCHITECTURE.md: every name on it exists, and it answers the most frequent questions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ DECISIONS = ROOT / "docs/adr"
 
 @cache
 def defined(path: str) -> frozenset[str]:
-    """The dotted names of functions, classes and methods, and of the constants of the module."""
+    """Return the dotted names of a module's functions, classes, methods and constants."""
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
     found = {
         t.id for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)
@@ -38,20 +38,20 @@ def defined(path: str) -> frozenset[str]:
 
 @cache
 def all_defined() -> frozenset[str]:
-    """The dotted names that the code of koordgen and of targets defines, wherever."""
+    """Return all dotted names that the code of koordgen and targets defines."""
     files = [p for folder in ("koordgen", "targets") for p in (ROOT / folder).rglob("*.py")]
     return frozenset().union(*[defined(p.relative_to(ROOT).as_posix()) for p in files])
 
 
 def rows() -> dict[str, tuple[str, str]]:
-    """The table of properties: where each is enforced, and the remark."""
+    """Return the rows of the table of properties: the place of each, and the remark."""
     table = TEXT.partition("## Enforced here")[2]
     cells = [line.strip("|").split(" | ") for line in table.splitlines() if line.startswith("| ")][1:]
     return {first.strip(): (where, remark.strip()) for first, where, remark in cells}
 
 
 def steps() -> list[tuple[str, str]]:
-    """(file, name) of each step of a walk and of each row of the table."""
+    """Return (file, name) of each step of a walk and of each row of the table."""
     return PLACE.findall(TEXT)
 
 
@@ -101,7 +101,7 @@ def test_the_table_has_a_function_in_each_row() -> None:
     ],
 )
 def test_a_question_takes_three_steps_from_the_readme(words: str, place: str) -> None:
-    """README.md, the row, the function."""
+    """README.md, the row of the table, the function."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert "Find something in the code: [ARCHITECTURE.md](ARCHITECTURE.md)" in readme
     file = place.rpartition(":")[0].rpartition("/")[2]

@@ -1,4 +1,4 @@
-"""The shared memory that the benchmarks measure: all updates arrive, also if datagrams are lost."""
+"""Shared memory in the benchmarks: all updates arrive, even if datagrams are lost."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ N, DELTA, COUNT, STEPS = 3, 0.01, 20, 20
 
 
 class Robots:
-    """A fleet of the benchmark's shared memories in simulated time, and what each has received."""
+    """Fleet of the benchmark's shared memories in simulated time, with the updates that each has received."""
 
     def __init__(self, loss: float) -> None:
         self.clock = SimulatedClock()
@@ -28,7 +28,7 @@ class Robots:
         self.heard: list[list[tuple[int, int]]] = [[] for _ in given]
 
     def run(self, rounds: range) -> None:
-        """Publish each of these rounds, and then hear for its length."""
+        """Publish each of these rounds, and then receive for the length of a round."""
         for round_ in rounds:
             for robot in self.each:
                 robot.publish(round_)
@@ -139,7 +139,7 @@ def test_two_robots_of_the_benchmark_that_take_turns_hear_each_round_once() -> N
 def test_a_fleet_that_the_host_disturbed_is_tried_again(
     name: str, taken: int, worst: float, holds: bool, tries: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Which is found out for all that are judged alike, and ends; not where it is too slow anyway."""
+    """Disturbed fleets are tried again at most DISTURBED times, and fleets that are too slow anyway are not."""
     ticks, tried = [0], [0]
 
     def measured(n: int, delta: float, count: int) -> shared_memory.Rounds:

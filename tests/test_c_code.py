@@ -1,5 +1,4 @@
-"""The C code that robots compile: without a warning of gcc's or clang's, and without what gcc's analyzer finds on its
-paths."""
+"""C code for robots: gcc and clang report no warning, and gcc's analyzer finds no fault."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ WARNINGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werr
 
 
 def told(compiler: str, source: Path, flags: Sequence[str]) -> str:
-    """What it has to say."""
+    """Return the compiler's messages."""
     compiling = [flag for flag in flags if not flag.startswith(("-l", "-shared"))]
     command = [compiler, *compiling, "-c", str(source), "-o", "/dev/null"]
     return subprocess.run(command, capture_output=True, text=True).stderr

@@ -1,4 +1,4 @@
-"""CONTRIBUTING.md can be followed: files, names in them, commands and links are there."""
+"""CONTRIBUTING.md: its files, names, commands and links exist."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMED = re.findall(r"`([A-Za-z_][\w.]*)` (?:in|of) `([\w/]+\.py)`", PAGE)
 
 
 def defined(path: str) -> set[str]:
-    """Top-level names of a module, and `Class.name` of what its classes define."""
+    """Return the top-level names of a module, and `Class.name` of names in its classes."""
     found = set()
     for node in ast.parse((ROOT / path).read_text(encoding="utf-8")).body:
         names = [node.name] if isinstance(node, (ast.FunctionDef, ast.ClassDef)) else []

@@ -32,7 +32,7 @@ def test_the_demo_runs_in_lockstep_and_names_the_command_to_watch_it_in_real_tim
 
 
 def written(words: list[str]) -> Iterator[str]:
-    """The paths, relative to the working directory, that a command of the README writes."""
+    """Return the paths, relative to the working directory, that a command of the README writes."""
     options = dict(pairwise(words))
     yield from (options[name] for name in ("--out", "-o", "--trace", "--plot") if name in options)
     match words[1:]:

@@ -121,7 +121,7 @@ def test_every_program_checks_without_a_word(name: str, tmp_path: Path) -> None:
         path = tmp_path / f"p{number}.koord"
         path.write_text(text, encoding="utf-8")
         try:
-            assert check_file(str(path)).noticed == (), text
+            assert check_file(str(path)).diagnostics == (), text
         except Rejected as error:
             pytest.fail(f"{error.found}\n{text}")
 

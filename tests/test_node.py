@@ -1,4 +1,4 @@
-"""What nodes promise: slots only, equality without places, copies."""
+"""Nodes: only slots, equality without places, copies."""
 
 from __future__ import annotations
 

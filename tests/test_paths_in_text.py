@@ -1,4 +1,4 @@
-"""Paths of this repository that pages, docstrings and comments name: each leads to a file."""
+"""Paths in pages, docstrings and comments: each names an existing file of the repository."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is made from other files is written when it differs, and only told of under --check."""
+"""Generated files: written if they differ, and only reported with --check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The wheel works outside the checkout: built, installed in a bare environment elsewhere, it builds a program."""
+"""Wheel: installed in an empty environment outside of the checkout, it builds a program."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NEEDED = ("jinja2", "markupsafe", "msgspec", "pyyaml", "shtab")  # of other peop
 
 
 def copied(name: str, site: Path) -> None:
-    """The package as it is installed here: no index is asked, which may be far away."""
+    """Install the package from this environment, without an index, which may be far away."""
     distribution = metadata.distribution(name)
     for file in distribution.files or ():
         if ".." not in file.parts:  # as scripts are
@@ -36,7 +36,7 @@ def copied(name: str, site: Path) -> None:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built without isolation: the build backend is among the locked packages."""
+    """Build the wheel without isolation: the build backend is among the locked packages."""
     folder = tmp_path_factory.mktemp("wheel")
     subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)],
@@ -66,7 +66,7 @@ def test_it_carries_templates_targets_runtime_and_explanations(wheel: Path) -> N
 
 
 def tracked(*folders: str) -> list[str]:
-    """The files of the repository, as a clean checkout has them."""
+    """Return the files of the repository as in a clean checkout."""
     done = subprocess.run(["git", "ls-files", *folders], cwd=ROOT, capture_output=True, text=True)
     if done.returncode != 0:
         pytest.skip("no git, or no repository: which files are the project's own cannot be told")
@@ -106,8 +106,11 @@ def test_links_of_its_pages_lead_somewhere(wheel: Path, tmp_path: Path) -> None:
 
 
 def said() -> Iterator[tuple[str, str]]:
-    """All that koordgen and robots may say: (file, text). Strings of the code without docstrings, explanations,
-    templates, and pages of examples, which are copied to where no other page is."""
+    """Return all texts for users, as (file, text).
+
+    These are strings in code without docstrings, explanations, templates, and pages of examples, which users copy
+    without the other pages.
+    """
     for path in [*(ROOT / "koordgen").rglob("*.py"), *(ROOT / "targets").rglob("*.py")]:
         if "_generated" in path.parts or path.name == "page.py":  # which writes a page
             continue

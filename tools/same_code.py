@@ -49,23 +49,23 @@ _COMPREHENSIONS = (ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp)
 
 
 class Unreadable(Exception):
-    """A commit, a file or a line that cannot be read."""
+    """Raised for a commit, a file or a line that cannot be read."""
 
 
 class Rules(NamedTuple):
-    """Allowed differences. `renames`: (old, new, file or folder of OLD). `literals`: None unless text may change."""
+    """Allowed differences. `renames`: (old, new, file or folder of OLD). `literals`: None if no text may change."""
 
     renames: tuple[tuple[str, str, str], ...] = ()
     literals: frozenset[tuple[str, str]] | None = None
 
     def names(self, path: str) -> dict[str, str]:
-        """The renames for one file; those of a longer path win."""
+        """Return the renames for one file; those with a longer path take precedence."""
         fitting = [r for r in self.renames if _within(path, r[2])]
         return {old: new for old, new, _ in sorted(fitting, key=lambda rename: len(rename[2]))}
 
 
 class Definition:
-    """A top-level statement. `tokens` is its tree in pre-order; `names` are those that it binds."""
+    """A top-level statement. `tokens`: its tree in pre-order. `names`: the names that it binds."""
 
     def __init__(self, module: Module, node: ast.stmt, names: tuple[str, ...]) -> None:
         self.module, self.node, self.names = module, node, names
@@ -83,7 +83,7 @@ class Definition:
 
     @property
     def label(self) -> str:
-        """The kind and the names as NEW should have them."""
+        """Kind and names of the definition, with the names that NEW must have."""
         renames = self.module.renames
         return " ".join((self.kind, *[renames.get(name, name) for name in self.names]))
 
@@ -93,8 +93,11 @@ class Definition:
 
 
 class Token(NamedTuple):
-    """One step of a walk over a tree. `key` is what must be equal in a partner before anything else is known; `target`
-    is what a name denotes, `literal` a string that rules may replace."""
+    """One step of a walk over a tree.
+
+    `key`: must be equal in a partner. `target`: the object that a name denotes. `literal`: a string that rules may
+    replace.
+    """
 
     key: str
     line: int
@@ -103,8 +106,11 @@ class Token(NamedTuple):
 
 
 class Module:
-    """One file of a commit. `imports`: name -> dotted path; `stars`: modules of which all public names are imported;
-    `definitions`: name -> its first definition."""
+    """One file of a commit.
+
+    `imports`: name -> dotted path. `stars`: modules from which all public names are imported. `definitions`: name ->
+    its first definition.
+    """
 
     def __init__(self, path: str, text: bytes, renames: dict[str, str]) -> None:
         self.path, self.renames = path, renames
@@ -147,21 +153,21 @@ class Module:
                 self.definitions.setdefault(name, found)
 
     def _base(self, node: ast.ImportFrom) -> str:
-        """The dotted path of the module from which names are imported."""
+        """Return the dotted path of the module from which names are imported."""
         if not node.level:
             return node.module or ""
         parts = self.package.split(".")
         return ".".join([*parts[: len(parts) - node.level + 1], *([node.module] if node.module else [])])
 
     def renamed(self, names: Iterable[str], line: int) -> Iterator[str]:
-        """A fault for each two names of one scope that the renames join."""
+        """Yield an error for each two names of one scope that the renames make equal."""
         found = Counter(self.renames.get(name, name) for name in set(names))
         for name, count in found.items():
             if count > 1:
                 yield f"{self.path}:{line} -> nowhere: the renames make {count} names of one scope {name}"
 
     def imported(self, node: ast.Import | ast.ImportFrom) -> Iterator[tuple[str, str, str]]:
-        """The names that an import binds, the dotted path that each denotes, and the path that is imported."""
+        """Yield the names that an import binds, the dotted path of each, and the path that is imported."""
         if isinstance(node, ast.Import):
             for alias in node.names:
                 bound = alias.name if alias.asname else alias.name.split(".")[0]
@@ -173,7 +179,7 @@ class Module:
 
 
 class Frame:
-    """The names of one scope inside a definition."""
+    """Names of one scope inside a definition."""
 
     def __init__(self, is_class: bool = False) -> None:
         self.is_class = is_class
@@ -183,7 +189,7 @@ class Frame:
 
 
 def _bound(body: Iterable[ast.AST], module: Module, is_class: bool = False) -> Frame:
-    """The names that statements bind in their own scope."""
+    """Return the names that statements bind in their own scope."""
     frame = Frame(is_class)
     outer: set[str] = set()
     pending = [(node, True) for node in body]
@@ -216,7 +222,7 @@ def _bound(body: Iterable[ast.AST], module: Module, is_class: bool = False) -> F
 
 
 class Commit:
-    """The modules of a commit by dotted name, with the tokens of all definitions."""
+    """Modules of a commit by dotted name, with the tokens of all definitions."""
 
     def __init__(self, files: dict[str, bytes], rules: Rules, old: bool) -> None:
         self.text_may_change = rules.literals is not None
@@ -281,7 +287,7 @@ class _Walk:
         self.put(f"identifier {self.module.renames.get(name, name)}")
 
     def statements(self, body: list[ast.stmt]) -> None:
-        """A block. Imports that follow one another count as a set."""
+        """Walk a block. Imports that follow one another count as a set."""
         if self.commit.text_may_change:
             body = [node for node in body if not _is_text(node)]
             body = [] if len(body) == 1 and isinstance(body[0], ast.Pass) else body
@@ -306,7 +312,7 @@ class _Walk:
         paths.clear()
 
     def dotted(self, path: str, prefix: str = "") -> None:
-        """A dotted path that an import has made known."""
+        """Walk a dotted path that begins with an import."""
         target, name, rest = self.commit.resolve(path)
         kind = "outside" if target is None else "module" if isinstance(target, Module) else "definition"
         for _ in rest:
@@ -316,7 +322,7 @@ class _Walk:
             self.identifier(attribute)
 
     def known(self, name: str) -> str | None:
-        """The dotted path that a name denotes here; "" for a name of the definition itself, None for a builtin."""
+        """Return the dotted path that a name denotes; "" for a name of the definition itself, None for a builtin."""
         for frame in reversed(self.frames):
             if name in frame.globals:
                 break
@@ -331,7 +337,7 @@ class _Walk:
         return self.module.imports.get(name)
 
     def name(self, name: str, attributes: tuple[str, ...] = ()) -> None:
-        """A name, with the attributes that follow it."""
+        """Walk a name with its attributes."""
         path = self.known(name)
         if path:
             self.dotted(".".join((path, *attributes)))
@@ -371,7 +377,7 @@ class _Walk:
                 self.generic(node)
 
     def generic(self, node: ast.AST, without: tuple[str, ...] = ()) -> None:
-        """The class of a node, and its fields."""
+        """Walk the class of a node, and its fields."""
         self.put(type(node).__name__)
         for field, value in ast.iter_fields(node):
             if field not in ("ctx", "kind", "type_comment", "type_ignores", *without):
@@ -453,7 +459,10 @@ def _is_text(node: ast.stmt) -> bool:
 
 
 def partners(old: list[Definition], new: list[Definition]) -> dict[Definition, Definition]:
-    """Definitions with equal tokens. Of several equal ones those belong together whose modules hold other partners."""
+    """Return pairs of definitions with equal tokens.
+
+    Of several equal definitions, those are partners whose modules contain other partners.
+    """
     keyed: dict[tuple[str, ...], tuple[list[Definition], list[Definition]]] = defaultdict(lambda: ([], []))
     for side, definitions in enumerate((old, new)):
         for definition in definitions:
@@ -481,7 +490,7 @@ def partners(old: list[Definition], new: list[Definition]) -> dict[Definition, D
 
 
 def differences(old: Commit, new: Commit, rules: Rules, paths: tuple[str, ...]) -> Iterator[str]:
-    """Each difference in one line, with its places."""
+    """Yield each difference as one line with its places."""
     yield from old.faults
     found = partners(old.statements, new.statements)
     taken = set(found.values())
@@ -509,7 +518,7 @@ def differences(old: Commit, new: Commit, rules: Rules, paths: tuple[str, ...]) 
 
 
 def _meeting(module: Module, origins: dict[Definition, Definition]) -> Iterator[str]:
-    """Definitions of one name in one module that stood in several modules: only the last of them remains visible."""
+    """Yield definitions of one name that moved from several modules into one: only the last of them stays visible."""
     first: dict[str, Definition] = {}
     for other in module.statements:
         for name in other.names:
@@ -531,7 +540,7 @@ def _inside(
     moves: set[tuple[Module, Module]],
     rules: Rules,
 ) -> Iterator[str]:
-    """Differences between partners: in what their names denote, and in their strings."""
+    """Yield differences between partners: in the objects that their names denote, and in their strings."""
     for a, b in _pairs(one, other, moves):
         places = f"{one.module.path}:{a.line} -> {other.module.path}:{b.line}: {one.label}"
         match a.target, b.target:
@@ -546,7 +555,10 @@ def _inside(
 
 
 def _pairs(one: Definition, other: Definition, moves: set[tuple[Module, Module]]) -> Iterator[tuple[Token, Token]]:
-    """Tokens of partners, side by side. Modules that one block imports have no order: each finds where it moved to."""
+    """Yield tokens of partners, side by side.
+
+    Modules imported by one block have no order: each is compared with the module that it moved to.
+    """
     left = list(other.tokens)
     for at, a in enumerate(one.tokens):
         if a.key.startswith("import module "):
@@ -562,7 +574,7 @@ def _moved(start: object, end: object, moves: set[tuple[Module, Module]]) -> boo
 
 
 def _first(one: Definition, other: Definition) -> str:
-    """The first place where two definitions differ."""
+    """Return the first place where two definitions differ."""
     if one.module.future != other.module.future:
         return f"{one.place} -> {other.place}: {one.label} differs: `from __future__ import` of its module"
     end = Token("its end", one.tokens[-1].line), Token("its end", other.tokens[-1].line)
@@ -584,11 +596,11 @@ def _within_any(path: str, folders: tuple[str, ...]) -> bool:
     return not folders or any(_within(path, folder) for folder in folders)
 
 
-# What is read
+# Reading of commits and rules
 
 
 def read_commit(commit: str) -> dict[str, bytes]:
-    """The Python files of a commit of the repository here."""
+    """Return the Python files of a commit of this repository."""
     if commit.startswith("-"):
         raise Unreadable(f"{commit} is no commit")
     done = subprocess.run(["git", "archive", "--format=tar", commit], capture_output=True)
@@ -600,7 +612,7 @@ def read_commit(commit: str) -> dict[str, bytes]:
 
 
 def _lines(path: Path | None) -> Iterator[tuple[str, str]]:
-    """The lines of a file that say something, each with its place."""
+    """Yield the lines of a file that are neither empty nor comments, each with its place."""
     if path is None:
         return
     try:
@@ -613,7 +625,7 @@ def _lines(path: Path | None) -> Iterator[tuple[str, str]]:
 
 
 def read_rules(renames: Path | None, text: Path | None) -> Rules:
-    """The two files of rules. Raises Unreadable."""
+    """Read the two files of rules. Raises Unreadable."""
     names: list[tuple[str, str, str]] = []
     for place, line in _lines(renames):
         words = line.split()

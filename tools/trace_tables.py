@@ -1,9 +1,9 @@
-"""Write the tables of docs/reference/trace.md that describe a trace, from the types and the comments of its schema.
+"""Generator of the tables of docs/reference/trace.md that describe a trace, from the types and comments of its schema.
 
     python -m tools.trace_tables [--check]
 
-`koordgen/runtime/trace/schema.py` says behind each field what the key means, and in brackets its unit. --check writes
-nothing; the exit status is 1 if the page has other tables, or if a field of the schema has no comment.
+In `koordgen/runtime/trace/schema.py` the comment of a field says what the key means, with its unit in brackets. --check
+writes nothing. The exit status is 1 if the page has other tables, or if a field of the schema has no comment.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NAMES = {
 
 
 class NoComment(Exception):
-    """A field of the schema without a comment; the message names it."""
+    """Raised for a field of the schema without a comment. The message names it."""
 
 
 def tables() -> str:
@@ -76,7 +76,7 @@ def _table(node: ast.ClassDef, heads: dict[str, str], lines: list[str]) -> str:
 
 
 def _types(node: ast.expr, heads: dict[str, str]) -> Iterator[str]:
-    """A field's type in words, each of its alternatives."""
+    """Yield the names of a field's types, one for each alternative."""
     match node:
         case ast.BinOp(left=left, right=right):
             yield from _types(left, heads)

@@ -1,7 +1,8 @@
-"""Judges a simulated run of Formation: do the robots stand on a regular polygon, in their order, and has it turned?
-`python formation_verdict.py DIR`, the folder that the run left. In plan view, from the robots' true positions at the
-mission's end in DIR/summary.json: each within 0.4 m of its corner of the polygon that fits them best, which has turned
-by 0.3 rad at least. Exit status: 0 they do, 3 they do not, 1 the files cannot be used, 2 usage.
+"""Verdict of a simulated run of Formation: robots must end on a regular polygon, in their order, which has turned.
+
+`python formation_verdict.py DIR`, with the folder of the run. Positions are the true ones at the mission's end, in plan
+view, from DIR/summary.json. Each robot must be within 0.4 m of its corner of the polygon that fits them best, and that
+polygon must have turned by 0.3 rad or more. Exit status: 0 yes, 3 no, 1 the files cannot be used, 2 usage.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ OFF, TURNED = 0.4, 0.3  # metres, radians
 
 
 class Unusable(Exception):
-    """The run's files cannot be judged; the message says why."""
+    """Raised if the run's files cannot be judged. The message gives the reason."""
 
 
 def read(folder: Path) -> tuple[list[str], list[complex], str]:
-    """Names, plan positions at the mission's end, and what the run itself says against it. Raises Unusable."""
+    """Return names, plan positions (m) at the mission's end, and the run's own reasons against it. Raises Unusable."""
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         robots = summary["robots"]
@@ -30,12 +31,14 @@ def read(folder: Path) -> tuple[list[str], list[complex], str]:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
 
 
 def fitted(places: list[complex]) -> tuple[complex, complex]:
-    """The middle and the first corner, seen from it, of the regular polygon that is nearest to the places, in least
-    squares: a discrete Fourier transform's terms 0 and 1."""
+    """Return centre, and first corner relative to it, of the regular polygon that fits the positions best.
+
+    Best in least squares: they are the terms 0 and 1 of a discrete Fourier transform.
+    """
     n = len(places)
     middle = sum(places) / n
     return middle, sum(p * cmath.exp(-2j * math.pi * k / n) for k, p in enumerate(places)) / n
@@ -43,7 +46,7 @@ def fitted(places: list[complex]) -> tuple[complex, complex]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python formation_verdict.py DIR (the folder that a run of Formation left)", file=sys.stderr)
+        print("usage: python formation_verdict.py DIR (the folder of a run of Formation)", file=sys.stderr)
         return 2
     try:
         names, places, flaw = read(Path(argv[0]))
@@ -58,7 +61,7 @@ def main(argv: list[str]) -> int:
         print(f"{name:8} {far:.3f} m off its corner")
     reasons = [f"{name} is {far:.2f} m off its corner" for name, far in zip(names, off, strict=True) if far > OFF]
     if turned < TURNED:
-        reasons.append(f"it has turned by {turned:.2f} rad only")
+        reasons.append(f"the polygon has turned by only {turned:.2f} rad")
     if flaw:
         reasons.append(flaw)
     print("Formation: a polygon" if not reasons else f"Formation: NO: {'; '.join(reasons)}")

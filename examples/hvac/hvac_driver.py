@@ -1,6 +1,6 @@
-"""Serves the module HVAC of hvac.koord. This one stands in for real hardware: a room that cools and a heater.
+"""Driver of the module HVAC of hvac.koord: in place of real hardware, it simulates a room that cools, and a heater.
 
-Put your own sensor and relay in its place: `sense` and `command` are all that an agent calls, and neither may block.
+For real hardware, replace `sense` and `command`: an agent calls only these, and neither may block.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 OUTSIDE = 5.0  # degrees Celsius
-LOSS, HEATING = 0.02, 1.2  # of the difference to the outside, and degrees, a second
+LOSS, HEATING = 0.02, 1.2  # per second: share of the difference to the outside; degrees
 
 
 class Hvac:
-    """One room."""
+    """One simulated room."""
 
     sensors: ClassVar = {"temp": "float"}
     actuators: ClassVar = {"heat": "bool"}
@@ -25,16 +25,16 @@ class Hvac:
         self._before = time.monotonic()
 
     def sense(self) -> dict[str, Any]:
-        """All sensors, by name."""
+        """Return the values of all sensors, by name."""
         now = time.monotonic()
         seconds, self._before = now - self._before, now
         self._temp += seconds * (LOSS * (OUTSIDE - self._temp) + (HEATING if self._heat else 0.0))
         return {"temp": self._temp}
 
     def command(self, actuators: Mapping[str, Any]) -> None:
-        """What an event wrote, by name."""
+        """Receive the actuator values that an event wrote, by name."""
         self._heat = bool(actuators.get("heat", self._heat))
 
     def close(self) -> None:
-        """The agent ends: switch off."""
+        """Switch the heater off: the agent ends."""
         self._heat = False

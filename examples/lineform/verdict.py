@@ -1,9 +1,10 @@
-"""Judges a simulated run of LineForm: did the robots line up? `python verdict.py DIR`, the folder that the run left.
+"""Verdict of a simulated run of LineForm: the robots must end in a line.
 
-In plan view, from the robots' true positions in DIR/trace.jsonl: the robots between the two extremal ones (pid 0 and
-N-1) must end within 0.30 m of the straight line between those two, and within 0.30 m of their evenly spaced places
-along it; they must have started at least 1.5 m off that line, or the run would show nothing; and no two robots may
-ever have come closer than 0.3 m. Exit status: 0 they did, 3 they did not, 1 the files cannot be used, 2 usage.
+`python verdict.py DIR`, with the folder of the run. Positions are the true ones from DIR/trace.jsonl, in plan view. The
+robots between the two extremal ones (pid 0 and N-1) must end within 0.30 m of the straight line between those two, and
+within 0.30 m of their evenly spaced places along it. They must have started at least 1.5 m off that line, or the run
+would show nothing. No two robots may ever have been closer than 0.3 m. Exit status: 0 yes, 3 no, 1 the files cannot be
+used, 2 usage.
 """
 
 from __future__ import annotations
@@ -24,13 +25,15 @@ Place = tuple[float, float]
 
 
 class Unusable(Exception):
-    """The run's files cannot be judged; the message says why."""
+    """Raised if the run's files cannot be judged. The message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run showed: plan positions (m) by pid, at its beginning and at the mission's end, the smallest separation
-    in space, and in words why it must not count (empty: it may)."""
+    """Result of a run: plan positions (m) by pid at its start and at the mission's end, and smallest separation (m).
+
+    The separation is in space. If the run cannot count, there is also the reason.
+    """
 
     names: list[str]
     starts: list[Place]
@@ -40,7 +43,7 @@ class Run:
 
 
 def read(folder: Path) -> Run:
-    """Read trace.jsonl, and the summary for what the harness saw between the trace's samples. Raises Unusable."""
+    """Read trace.jsonl, and from the summary the smallest separation between samples of the trace. Raises Unusable."""
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         with (folder / "trace.jsonl").open(encoding="utf-8") as file:
@@ -48,7 +51,7 @@ def read(folder: Path) -> Run:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
 
 
 def _run(records: list[dict[str, Any]], summary: dict[str, Any]) -> Run:
@@ -58,7 +61,7 @@ def _run(records: list[dict[str, Any]], summary: dict[str, Any]) -> Run:
     names = [robot["name"] for robot in header["robots"]]
     end = min((r["t"] for r in records if r["kind"] == "end"), default=math.inf)
     time = -math.inf
-    now: dict[int, tuple[float, float, float]] = {}  # the poses of that moment
+    now: dict[int, tuple[float, float, float]] = {}  # poses at the time of the present sample
     starts: list[Place | None] = [None] * len(names)
     ends: list[Place | None] = [None] * len(names)
     separation = float((summary["min_separation"] or {"distance": math.inf})["distance"])
@@ -76,14 +79,14 @@ def _run(records: list[dict[str, Any]], summary: dict[str, Any]) -> Run:
         if record["t"] <= end:
             ends[pid] = (x, y)
     if len(names) < 3 or None in starts or None in ends or not math.isfinite(separation):
-        raise ValueError("LineForm is judged on three robots or more, and on poses of all of them")
+        raise ValueError("the verdict needs three robots or more, and poses of all of them")
     flaw = "" if summary["verdict"] == "held" else f"the run itself: {summary['verdict']}, {summary['why']}"
     return Run(names, [s for s in starts if s], [e for e in ends if e], separation, flaw)
 
 
 @dataclass(frozen=True)
 class Figures:
-    """One robot's: metres off the line at the start and at the end, and off its place along the line at the end."""
+    """Deviations of one robot (m): from the line at start and end, and from its place on the line at the end."""
 
     name: str
     off_at_start: float
@@ -96,7 +99,7 @@ class Figures:
 
 
 def judge(run: Run) -> list[Figures]:
-    """Figures of the robots between the extremal ones. Raises Unusable when those two are in one place."""
+    """Return the figures of the robots between the extremal ones. Raises Unusable if those two are at one point."""
     (x0, y0), (x1, y1) = run.ends[0], run.ends[-1]
     length = math.hypot(x1 - x0, y1 - y0)
     if length < OFF_LINE:
@@ -117,7 +120,7 @@ def judge(run: Run) -> list[Figures]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python verdict.py DIR (the folder that a run of LineForm left)", file=sys.stderr)
+        print("usage: python verdict.py DIR (the folder of a run of LineForm)", file=sys.stderr)
         return 2
     try:
         run = read(Path(argv[0]))

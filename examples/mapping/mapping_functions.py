@@ -1,7 +1,7 @@
-"""What mapping.koord leaves to Python: where to look next, what is in the way, what a scan tells, when all is seen.
+"""Extern functions of mapping.koord: choice of the next place to look at, obstacles, maps from scans, and completeness.
 
-All of them are pure: the same map and scan give the same answer on every robot. Lengths in metres, local ENU frame.
-The map is parted into strips from west to east, one a robot; each drives within its own, away from the next.
+All functions are pure: for the same map and scan they return the same value on every robot. Lengths in metres, local
+ENU frame. The map is divided into strips from west to east, one for each robot, which drives only within its strip.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from koordgen.runtime.values.points import Grid, Point, Scan
 
 Cell = tuple[int, int]
 NEAR = ((1, 0), (-1, 0), (0, 1), (0, -1))
-GAP = 0.5  # metres from a strip's edge to the next strip, a cell at least
-BODY = 0.9  # metres around the place that a robot has told in which a scan may show it: its body, and how far it goes
-# until its next word
+GAP = 0.5  # metres from a strip's edge to the next strip; at least one cell
+BODY = 0.9  # metres around a robot's published position within which a scan may show the robot: its body, and
+# the distance that it drives until it publishes again
 
 
 def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int, refused: list[Point]) -> Point:
-    """The edge of what is known that is nearest to drive to, or else as the crow flies; without any, where the robot
-    is."""
+    """Return the frontier position with the shortest drive; without a drivable one, the nearest in a straight line.
+
+    A frontier is a free cell beside unknown cells. Without any frontier, return the robot's position.
+    """
     edge = _left(known, part, parts, refused)
     if not edge:
         return own
@@ -42,18 +44,20 @@ def pickFrontierPos(known: GridMap, own: Point, part: int, parts: int, refused: 
 
 
 def findObs(known: GridMap) -> list[Grid]:
-    """The cells that are known to be occupied."""
+    """Return the cells that are known to be occupied."""
     return [Grid(x, y, known.resolution) for (x, y), code in _codes(known).items() if code == OCCUPIED]
 
 
 def explored(known: GridMap, part: int, parts: int, refused: list[Point]) -> bool:
-    """Whether a strip has no edge left to drive to."""
+    """Return whether a strip has no frontier left that the robot could drive to."""
     return not _left(known, part, parts, refused)
 
 
 def scanToMap(own: Point, seen: Scan, area: GridMap, robots: list[Point], me: int) -> GridMap:
-    """In the window of `area`: the cells free that rays crossed, and those occupied at which rays ended, but not where
-    another robot is."""
+    """Return the map of one scan, in the window of `area`: crossed cells are free, cells at ends of rays are occupied.
+
+    Ends of rays at another robot are left out.
+    """
     size = area.resolution
     others = [p for pid, p in enumerate(robots) if pid != me]
     free: set[Cell] = set()
@@ -65,7 +69,7 @@ def scanToMap(own: Point, seen: Scan, area: GridMap, robots: list[Point], me: in
             way = range_ * i / steps
             free.add((math.floor((own.x + way * east) / size), math.floor((own.y + way * north) / size)))
         if range_ < seen.max_range:
-            way = range_ + 1e-6  # the surface itself belongs to the cell behind it
+            way = range_ + 1e-6  # the surface belongs to the cell behind it
             x, y = own.x + way * east, own.y + way * north
             if all(math.hypot(x - p.x, y - p.y) > BODY for p in others):
                 hit.add((math.floor(x / size), math.floor(y / size)))
@@ -73,7 +77,7 @@ def scanToMap(own: Point, seen: Scan, area: GridMap, robots: list[Point], me: in
 
 
 def _marked(area: GridMap, cells: set[Cell], code: int) -> GridMap:
-    """A map in which these are all that is known."""
+    """Return a map in which only these cells are known."""
     bits = bytearray(len(area.cells))
     for x, y in cells:
         i, j = x - area.x, y - area.y
@@ -84,14 +88,14 @@ def _marked(area: GridMap, cells: set[Cell], code: int) -> GridMap:
 
 
 def _left(known: GridMap, part: int, parts: int, refused: list[Point]) -> frozenset[Cell]:
-    """The edge, without those to which there was no way."""
+    """Return the frontier without cells to which no way was found."""
     places = (cell(p, known.resolution) for p in refused)
     return _edge(known, part, parts).difference((g.x, g.y) for g in places)
 
 
-@lru_cache(maxsize=64)  # a map is asked about in every round until the next one
+@lru_cache(maxsize=64)  # several calls use the same map in each round
 def _edge(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
-    """The cells of a strip with room for a robot, beside a cell of which nothing is known."""
+    """Return the cells of a strip with room for a robot that are beside an unknown cell."""
     codes = _codes(known)
     room = _room(known, part, parts)
     return frozenset((x, y) for x, y in room if any(codes.get((x + i, y + j)) == 0 for i, j in NEAR))
@@ -99,7 +103,7 @@ def _edge(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
 
 @lru_cache(maxsize=64)
 def _room(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
-    """The cells of a strip that are known to be free and have nothing occupied around them, as far as a car needs."""
+    """Return the free cells of a strip with no occupied cell within the distance that a car needs."""
     gap = max(1, math.ceil(GAP / known.resolution))
     west = known.x + known.width * part // parts + (gap if part > 0 else 0)
     east = known.x + known.width * (part + 1) // parts - (gap if part < parts - 1 else 0)
@@ -114,12 +118,12 @@ def _room(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
 
 
 def _need(size: float) -> int:
-    """How many cells around a place a car needs."""
+    """Return the number of cells around a place that a car needs."""
     return max(1, math.ceil(0.3 / size))
 
 
 @lru_cache(maxsize=8)
 def _codes(m: GridMap) -> dict[Cell, int]:
-    """What is known of each cell of the window: 0 nothing, FREE, OCCUPIED; row by row."""
+    """Return the state of each cell of the window, row by row: 0 unknown, FREE, OCCUPIED."""
     cells = ((m.x + i, m.y + j) for j in range(m.height) for i in range(m.width))
     return {c: (m.cells[k >> 2] >> 2 * (k & 3)) & 3 for k, c in enumerate(cells)}

@@ -1,14 +1,14 @@
-"""Judges a simulated run of Mapping: does the shared map show what is there?
+"""Verdict of a simulated run of Mapping: the shared map must agree with the obstacles of the world.
 
-`python mapping_verdict.py DIR [--picture FILE]`: DIR is the folder that the run left, FILE gets the map
-at three times as a PNG. From DIR/trace.jsonl, for every version of the map that a robot handed in:
+`python mapping_verdict.py DIR [--picture FILE]`, with the folder of the run. FILE becomes a PNG with the map at three
+times. In DIR/trace.jsonl, for every version of the map that a robot wrote:
 
-- a cell that is occupied in it has an obstacle within the length of its diagonal from its middle;
-- a cell that is free in it has its middle no deeper than half its side in an obstacle;
+- a cell that is occupied in the map has an obstacle within the length of its diagonal from its centre;
+- a cell that is free in the map has its centre at most half its side deep in an obstacle.
 
-and at 180 s, or when the run was over, 95 % of the cells that are free and can be reached must be known. These are the
-cells that no obstacle touches, with a way from a robot's start over their sides. Obstacles are boxes and upright
-cylinders, which a lidar sees. Exit status: 0 it does, 3 it does not, 1 the files cannot be used, 2 usage.
+After 180 s, or at the end of a shorter run, 95 % of the free cells that can be reached must be known. These are the
+cells that no obstacle touches, and that are connected with a robot's start through sides of such cells. Obstacles are
+boxes and upright cylinders, which a lidar sees. Exit status: 0 yes, 3 no, 1 the files cannot be used, 2 usage.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ Place = tuple[float, float]
 
 
 class Unusable(Exception):
-    """The run's files cannot be judged; the message says why."""
+    """Raised if the run's files cannot be judged. The message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """In plan: metres."""
+    """Box in plan view, in metres."""
 
     lo: Place
     hi: Place
 
     def beyond(self, p: Place) -> float:
-        """The distance from a place to it; inside it is negative: how deep."""
+        """Return the distance (m) of a point from the box; inside it is negative: the depth."""
         out = [max(lo - v, v - hi) for lo, v, hi in zip(self.lo, p, self.hi, strict=True)]
         return math.hypot(*(max(0.0, o) for o in out)) if max(out) > 0 else max(out)
 
     def touches(self, lo: Place, hi: Place) -> bool:
-        """Whether it has a place in common with a rectangle."""
+        """Return whether the box has a point in common with a rectangle."""
         return all(a <= d and c <= b for a, b, c, d in zip(self.lo, self.hi, lo, hi, strict=True))
 
 
 @dataclass(frozen=True)
 class Disc:
-    """In plan: metres."""
+    """Disc in plan view, in metres."""
 
     centre: Place
     radius: float
@@ -69,7 +69,7 @@ Shape = Box | Disc
 
 @dataclass(frozen=True)
 class Map:
-    """A GridMap as it stands in a trace: what is known of each cell, by its place in the lattice."""
+    """GridMap of a trace: the state of each cell, by its index in the lattice."""
 
     t: float
     size: float
@@ -90,7 +90,7 @@ class Map:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run showed."""
+    """Data of a run."""
 
     shapes: list[Shape]
     starts: list[Place]
@@ -111,9 +111,9 @@ def read(folder: Path) -> Run:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
     if not maps:
-        raise Unusable(f"{folder}: nobody handed in a map")
+        raise Unusable(f"{folder}: no robot wrote a map")
     flaw = "" if summary["verdict"] == "held" else f"the run itself: {summary['verdict']}, {summary['why']}"
     return Run(shapes, list(starts.values()), maps, flaw)
 
@@ -129,7 +129,7 @@ def _shape(obstacle: dict[str, Any]) -> Shape:
 
 
 def reachable(run: Run) -> set[Cell]:
-    """The cells of the map's window that no obstacle touches, with a way from a start."""
+    """Return the cells of the map's window that no obstacle touches and that are connected with a start."""
     grid = run.maps[0]
     free = {c for c in grid.codes if not any(shape.touches(*grid.corners(c)) for shape in run.shapes)}
     starts = {(math.floor(x / grid.size), math.floor(y / grid.size)) for x, y in run.starts}
@@ -144,7 +144,7 @@ def reachable(run: Run) -> set[Cell]:
 
 
 def contradictions(run: Run) -> list[str]:
-    """The cells that say what is not so, each once, with the first time."""
+    """Return the cells that contradict the world, each once, with the first time."""
     found: dict[tuple[Cell, int], str] = {}
     for map_ in run.maps:
         for cell, code in map_.codes.items():
@@ -160,12 +160,12 @@ def contradictions(run: Run) -> list[str]:
 
 
 def known(map_: Map, cells: set[Cell]) -> float:
-    """The share of cells of which something is known."""
+    """Return the share of cells that are known."""
     return sum(map_.codes[c] != UNKNOWN for c in cells) / len(cells) if cells else 0.0
 
 
 def draw(run: Run, cells: set[Cell], file: str) -> None:
-    """The map at a third, two thirds and the whole of what came to be known. Raises OSError."""
+    """Draw the first map, the map when half of the rest was known, and the last one. Raises OSError."""
     from matplotlib.figure import Figure
 
     shares = [known(m, cells) for m in run.maps]
@@ -194,7 +194,7 @@ def main(argv: list[str]) -> int:
     picture = argv[2] if len(argv) == 3 and argv[1] == "--picture" else ""
     if not argv or argv[0].startswith("-") or len(argv) != (3 if picture else 1):
         print(
-            "usage: python mapping_verdict.py DIR [--picture FILE] (the folder that a run of Mapping left)",
+            "usage: python mapping_verdict.py DIR [--picture FILE] (the folder of a run of Mapping)",
             file=sys.stderr,
         )
         return 2

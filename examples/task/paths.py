@@ -1,6 +1,7 @@
-"""Draws runs of Task side by side: the paths that robots published, and when each was travelled.
-`python paths.py PICTURE DIR...`, a PNG and the folders that runs left. Exit status: 0, 1 the files cannot be used, 2
-usage.
+"""Plot of runs of Task, side by side: the paths that robots published, and the times of their trips.
+
+`python paths.py PICTURE DIR...`, a PNG to write and the folders of runs. Exit status: 0 done, 1 the files cannot be
+used, 2 usage.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 @dataclass(frozen=True)
 class Trip:
-    """A robot's way to a task: from when to when, seconds; metres, local ENU."""
+    """A robot's trip to a task: begin and end (s), and the path (m, local ENU)."""
 
     pid: int
     task: int
@@ -28,7 +29,7 @@ class Trip:
 
 
 def trips(folder: Path) -> tuple[list[str], list[Trip]]:
-    """The robots' names and all ways that were travelled. Raises OSError, ValueError, KeyError."""
+    """Return the names of robots, and all trips that were travelled. Raises OSError, ValueError, KeyError."""
     with (folder / "trace.jsonl").open(encoding="utf-8") as file:
         header, *records = [json.loads(line) for line in file]
     taken: dict[int, dict[str, Any]] = {}
@@ -47,7 +48,7 @@ def trips(folder: Path) -> tuple[list[str], list[Trip]]:
 
 
 def draw(picture: str, folders: list[Path]) -> None:
-    """Paths from above, and below them a line for each robot. Raises as `trips`, OSError."""
+    """Draw the paths from above, and below them a time line for each robot. Raises OSError, and what `trips` raises."""
     figure = Figure(figsize=(5.6 * len(folders), 8.4), layout="constrained")
     read = [trips(folder) for folder in folders]
     last = max(trip.end for _, found in read for trip in found)

@@ -1,10 +1,10 @@
-"""Judges a simulated run of Task: was every task visited exactly once? `python task_verdict.py DIR`, the folder that
-the run left. From DIR/trace.jsonl:
+"""Verdict of a simulated run of Task: every task must be visited exactly once. `python task_verdict.py DIR`.
 
-Each task that was in the list at the beginning must be done by exactly one robot, once; when the robot said so, its
-true position must have been within 0.3 m of the task. No two robots may ever have been closer than `min_separation` of
-the fleet file, at any step of the physics. Tells as well when the last task was done and how many robots were under way
-at a time, on average until then. Exit status: 0 they were, 3 they were not, 1 the files cannot be used, 2 usage.
+DIR is the folder of the run; data come from DIR/trace.jsonl. Each task of the initial list must be done by exactly one
+robot, once. When a robot reported a task as done, its true position must have been within 0.3 m of the task. No two
+robots may ever have been closer than `min_separation` of the fleet file, at any step of the physics. Also prints the
+time at which the last task was done, and the average number of robots that were travelling until then. Exit status: 0
+yes, 3 no, 1 the files cannot be used, 2 usage.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ Place = tuple[float, float, float]
 
 
 class Unusable(Exception):
-    """The run's files cannot be judged; the message says why."""
+    """Raised if the run's files cannot be judged. The message gives the reason."""
 
 
 @dataclass
 class Seen:
-    """What the trace shows: tasks by their id, who said when that which was done, how far from it, and how long robots
-    were under way (seconds, over all of them)."""
+    """Data of a trace: tasks by their id, each report of a done task, and the time that robots were travelling.
+
+    `done`: time (s), pid, task, distance from the task (m). The travelling time (s) is summed over all robots.
+    """
 
     tasks: dict[int, Place] = field(default_factory=dict)
     done: list[tuple[float, int, int, float]] = field(default_factory=list)  # t, pid, task, metres
@@ -40,7 +42,7 @@ class Seen:
 
 
 def read(folder: Path) -> tuple[Seen, dict[str, Any]]:
-    """The trace and the summary. Raises Unusable."""
+    """Read the trace and the summary. Raises Unusable."""
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         with (folder / "trace.jsonl").open(encoding="utf-8") as file:
@@ -48,7 +50,7 @@ def read(folder: Path) -> tuple[Seen, dict[str, Any]]:
     except OSError as error:
         raise Unusable(f"{error.filename}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, IndexError) as error:
-        raise Unusable(f"{folder}: not what a run leaves: {type(error).__name__}: {error}") from None
+        raise Unusable(f"{folder}: not the folder of a run: {type(error).__name__}: {error}") from None
 
 
 def _seen(records: list[dict[str, Any]]) -> Seen:
@@ -62,7 +64,7 @@ def _seen(records: list[dict[str, Any]]) -> Seen:
             case "pose":
                 places[pid] = tuple(record["position"])
             case "round" if "all_tasks" in (record.get("shared") or {}):
-                if not seen.tasks:  # the first that is taken, and all others
+                if not seen.tasks:  # the first version of the list
                     target, number = record["locals"]["cur_task"]
                     listed = [(target, number), *record["shared"]["all_tasks"]]
                     seen.tasks = {id_: tuple(place) for place, id_ in listed}
@@ -76,7 +78,7 @@ def _seen(records: list[dict[str, Any]]) -> Seen:
 
 
 def judge(seen: Seen, summary: dict[str, Any]) -> list[str]:
-    """Why it must not count; nothing when it may."""
+    """Return the reasons why the run fails; empty if it passes."""
     times = Counter(number for _, _, number, _ in seen.done)
     reasons = [] if seen.tasks else ["no task was taken"]
     reasons += [f"task {number} was visited {times[number]} times" for number in seen.tasks if times[number] != 1]
@@ -93,7 +95,7 @@ def judge(seen: Seen, summary: dict[str, Any]) -> list[str]:
 
 def main(argv: list[str]) -> int:
     if len(argv) != 1 or argv[0].startswith("-"):
-        print("usage: python task_verdict.py DIR (the folder that a run of Task left)", file=sys.stderr)
+        print("usage: python task_verdict.py DIR (the folder of a run of Task)", file=sys.stderr)
         return 2
     try:
         seen, summary = read(Path(argv[0]))

@@ -1,4 +1,4 @@
-"""The passes in order, read as a table of contents: text -> syntax tree -> typed IR -> IR of this build -> bundles."""
+"""Compiler pipeline: text -> syntax tree -> typed IR -> IR with the params of this build -> bundles."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as tree
 from koordgen.lang.syntax.parse import parse
 
-if TYPE_CHECKING:  # what `check` does not need is imported where it is: pathlib alone takes a tenth of its time
+if TYPE_CHECKING:  # `check` needs none of these; functions import them late, since pathlib alone takes 10 % of its time
     from pathlib import Path
 
     from koordgen.build.bundle.plan import Files
     from koordgen.fleet.file import Fleet
     from koordgen.fleet.manifest import Target
-    from koordgen.fleet.offered import Driver, Known
+    from koordgen.fleet.settings import DriverClass, NameChecks
     from koordgen.lang.analyze.params import Value
 
 
 class Rejected(Exception):
-    """The user's files are wrong: the diagnostics say where and why, each with the source it points into."""
+    """Raised for errors in the user's files. `found`: each diagnostic with the source that its span points into."""
 
     def __init__(self, found: Collection[tuple[Source, Diagnostic]]) -> None:
         super().__init__("the user's files are wrong")
@@ -36,30 +36,32 @@ class Rejected(Exception):
 
 
 class Checked(Node):
-    """A program that passed, and what was noticed on the way (warnings and notes)."""
+    """A program without errors, with the warnings and notes of its check."""
 
     source: Source
     program: Program
-    noticed: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def read_source(path: str) -> Source:
-    """The text of a user's file. Raises Rejected when it cannot be read or is no UTF-8."""
+    """Read the text of a user's file. Raises Rejected if the file cannot be read or is not UTF-8."""
     start = Span(1, 1, 1, 1)
     try:
         with open(path, "rb") as file:
             raw = file.read()
         return Source(path, raw.decode("utf-8-sig"))
     except OSError as error:
-        problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
+        problem = Diagnostic("F100", "error", f"the file cannot be read: {error.strerror or error}", start)
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
+        problem = Diagnostic(
+            "F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2), help="save the file as UTF-8"
+        )
     raise Rejected([(Source(path, ""), problem)])
 
 
 def parse_file(path: str) -> tuple[Source, tree.Program]:
-    """parse. Raises Rejected."""
+    """Read and parse a program. Raises Rejected."""
     source = read_source(path)
     parsed, found = parse(source)
     if found:
@@ -68,7 +70,10 @@ def parse_file(path: str) -> tuple[Source, tree.Program]:
 
 
 def check_file(path: str) -> Checked:
-    """parse, check, verify; what could be read of a text is checked, whatever else is wrong. Raises Rejected."""
+    """Parse, check and verify a program. Raises Rejected.
+
+    After syntax errors, the sections that could be parsed are checked as well, so one run reports both kinds of errors.
+    """
     source = read_source(path)
     parsed, unread = parse(source)
     program, found = check(parsed, source)
@@ -79,7 +84,7 @@ def check_file(path: str) -> Checked:
 
 
 def dump(path: str, after: str) -> str:
-    """The program as it stands after a pass, for people: "parse" or "check". Raises Rejected."""
+    """Return the program after a pass ("parse" or "check") as readable text. Raises Rejected."""
     if after == "parse":
         from koordgen.lang.syntax.printer import show as show_tree
 
@@ -96,14 +101,19 @@ def plan_file(
     params: Mapping[str, Value],
     functions: str | None = None,
 ) -> tuple[Checked, dict[str, Files]]:
-    """check, fleet, params, verify, ports, budget, Python beside, plan: the bundles of one build, in memory. `wanted`
-    are names of targets that exist; None, which needs a fleet, stands for the targets of its robots. `functions` is the
-    file of the extern functions, if not the usual one. Raises Rejected, BadParam, ManifestError."""
+    """Plan the bundles of one build, in memory.
+
+    Steps: check, fleet file, params, verify, ports, sizes of datagrams, the user's Python files, plan.
+
+    `wanted`: names of existing targets. None, which needs a fleet file, means the targets of the fleet's robots.
+    `functions`: the file of the extern functions, if it is not `<app>_functions.py` beside the program.
+    Raises Rejected, BadParam, ManifestError.
+    """
     from pathlib import Path
 
-    from koordgen.build.bundle.calls import check_calls, planner_budget
-    from koordgen.build.bundle.offer import check_ports
     from koordgen.build.bundle.plan import plan, read_ingredients
+    from koordgen.build.bundle.port_calls import check_calls, planner_budget
+    from koordgen.build.bundle.ports import check_ports
     from koordgen.fleet import manifest
     from koordgen.lang import resources
     from koordgen.lang.analyze.params import with_params
@@ -132,7 +142,7 @@ def plan_file(
     if fleet:
         budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
         slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
-        checked = replace(checked, noticed=tuple(in_order([*checked.noticed, *sending, *slow])))
+        checked = replace(checked, diagnostics=tuple(in_order([*checked.diagnostics, *sending, *slow])))
     source = Path(path).read_bytes()
     return checked, plan(
         read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted or needed
@@ -140,7 +150,7 @@ def plan_file(
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
-    """What such a fleet cannot send (errors), or not at once (warnings)."""
+    """Check sizes of datagrams: errors if the fleet cannot send its shared variables, warnings if only in fragments."""
     from koordgen.build.bundle.budget import check_budget, check_link
 
     robots, to_all = len(fleet.robots), fleet.network["transport"] in ("broadcast", "multicast")
@@ -151,11 +161,11 @@ def _beside(
     program: Program,
     path: str,
     fleet_path: str | None,
-    drivers: Mapping[str, Driver],
+    drivers: Mapping[str, DriverClass],
     targets: tuple[Target, ...],
     functions: str | None,
 ) -> tuple[dict[str, Path], list[Diagnostic]]:
-    """The user's own Python that goes into bundles, by its path there, and what is wrong with it."""
+    """Return the user's Python files by their paths in a bundle, and diagnostics about these files."""
     from pathlib import Path
 
     from koordgen.build.bundle.functions import check_functions, functions_file
@@ -175,7 +185,7 @@ def _beside(
 
 
 def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Path]:
-    """The files of classes that settings of robots name, by their path in bundles."""
+    """Return the files of the user's classes that robots' settings name, by their paths in a bundle."""
     from pathlib import Path
 
     from koordgen.build.bundle.drivers import find
@@ -188,10 +198,13 @@ def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str,
 def read_fleet(
     path: str, targets: Mapping[str, Target], program: Program | None, program_path: str = ""
 ) -> tuple[Fleet, dict[str, Value]]:
-    """The fleet and its params as values; without a program nothing is known of those. Beside the fleet file and the
-    program stand the classes that settings name. Raises Rejected."""
+    """Read a fleet file. Return the fleet and its params as values. Raises Rejected.
+
+    Without a `program`, params are not checked against their declarations. Classes that settings name are looked up in
+    the folder of the fleet file, then in that of the program.
+    """
     from koordgen.fleet import file as fleet
-    from koordgen.fleet.offered import Known
+    from koordgen.fleet.settings import NameChecks
 
     source = read_source(path)
     found: list[tuple[Source, Diagnostic]] = []
@@ -200,7 +213,7 @@ def read_fleet(
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
     params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
-    known = _known(program, path, program_path or path) if program is not None else Known()
+    known = _known(program, path, program_path or path) if program is not None else NameChecks()
     read = fleet.read(source, targets, params, report, known)
     if read is None:
         raise Rejected(found)
@@ -208,7 +221,7 @@ def read_fleet(
 
 
 def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
-    """The values of params in a fleet file; none without one. Raises Rejected, ManifestError."""
+    """Return the params of a fleet file; empty if `path` is None. Raises Rejected, ManifestError."""
     if path is None:
         return {}
     from koordgen.fleet import manifest
@@ -217,12 +230,12 @@ def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[
     return read_fleet(path, targets, checked.program, program_path)[1]
 
 
-def _known(program: Program, fleet_path: str, program_path: str) -> Known:
+def _known(program: Program, fleet_path: str, program_path: str) -> NameChecks:
     from functools import cache
     from pathlib import Path
 
     from koordgen.build.bundle.drivers import own_class
-    from koordgen.fleet.offered import Driver, Known
+    from koordgen.fleet.settings import DriverClass, NameChecks
 
     folders = [Path(fleet_path).parent, Path(program_path).parent]
 
@@ -230,10 +243,8 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
         known = [s.name for s in program.shared if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
         if name in known:
             return ""
-        there = f"; there are: {', '.join(known)}" if known else ""
-        return (
-            f"avoid is {name!r}: the program has no allread variable of that name that is a Point or List<Point>{there}"
-        )
+        possible = f"; possible values: {', '.join(known)}" if known else ""
+        return f"avoid is {name!r}: the program has no allread variable {name} of type Point or List<Point>{possible}"
 
     def unmarked(name: str, position: str) -> str:
         found = next((s.type for s in program.shared if s.name == name), None)
@@ -241,13 +252,13 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
         places = [field for field, type_ in element.fields if type_ == POINT] if isinstance(element, RecordType) else []
         if position in places or (element == POINT and not position):
             return ""
-        field = f"whose elements have a Point in {position!r}" if position else "of Points"
-        there = f"; there are: {', '.join(places)}" if places else ""
-        return f"marker_list.variable is {name!r}: the program has no shared list of that name {field}{there}"
+        field = f"whose elements have a Point {position!r}" if position else "of Points"
+        possible = f"; possible positions: {', '.join(places)}" if places else ""
+        return f"marker_list.variable is {name!r}: the program has no shared list {name} {field}{possible}"
 
-    @cache  # all robots name the same class, mostly, and it takes a process to look at one
+    @cache  # most robots name the same class, and each inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
-        return own_class(Driver(module, name), methods, program, folders)
+        return own_class(DriverClass(module, name), methods, program, folders)
 
     own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
     own += [f"assume {module.name}" for module in program.modules if module.assumptions]
@@ -255,7 +266,7 @@ def _known(program: Program, fleet_path: str, program_path: str) -> Known:
     own += [f"ensures {f.name}" for f in program.externs if f.ensures]
     if any(isinstance(node, LoopInvariant) for node in walk((program.init, program.events, program.functions))):
         own.append("loop invariants")
-    return Known(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
+    return NameChecks(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:

@@ -1,8 +1,8 @@
-"""Command line: the only room that prints and exits. What a command does not need is never imported.
+"""Command line: the only room that prints and exits. Each command imports only what it needs.
 
-Owns: the table of commands, their options, exit statuses, errors with a way out.
+Owns: the table of commands, their options, exit statuses, error messages with their help.
 Offers: `main`.
-Must not import: nothing is forbidden but targets, which harness commands load by name.
+Must not import: targets; commands that run a harness load it by name.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from koordgen.cli.base.console import (
     Failure,
     install,
     internal_error,
+    notify,
     output,
-    say,
+    print_diagnostics,
     show_rejected,
-    tell,
 )
 from koordgen.cli.commands import parsed
 
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns its exit status."""
+    """Run one command. Return its exit status."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     collecting = gc.isenabled()
-    gc.disable()  # nothing here lives long enough to be collected, and trees have no cycles
+    gc.disable()  # saves time: a command ends before there is much to collect, and trees have no cycles
     try:
         try:
             return _run(parsed(arguments))
@@ -52,12 +52,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _unwritten(error: OSError) -> int:
-    """End a command whose output cannot be written: quietly when its reader has gone, as in `koordgen help | head -1`.
-    Python flushes once more at its end, and complains where that fails."""
+    """End a command whose output cannot be written; without a message if the reader closed the pipe (`| head -1`).
+
+    Python flushes the streams once more when it exits, and would report an error. So streams that cannot be written are
+    replaced by the null device.
+    """
     import os
 
     if not isinstance(error, BrokenPipeError):
-        say(f"error: {error.filename or 'standard output'}: {error.strerror}")
+        notify(f"error: {error.filename or 'standard output'}: {error.strerror}")
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -70,10 +73,10 @@ def _run(options: Namespace) -> int:
     try:
         return _COMMANDS.get(options.command, _harness)(options)
     except Failure as failure:
-        say(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
+        notify(f"error: {failure}" + (f"\n  help: {failure.help}" if failure.help else ""))
         return failure.status
     except KeyboardInterrupt:
-        say("interrupted")
+        notify("interrupted")
         return INTERRUPTED
     except Exception as error:
         from koordgen.build.pipeline import Rejected
@@ -81,7 +84,7 @@ def _run(options: Namespace) -> int:
         if isinstance(error, ModuleNotFoundError) and not (error.name or "koordgen").startswith(
             ("koordgen", "targets")
         ):
-            say(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
+            notify(f"error: the Python package {error.name} is missing\n  help: {install('koordgen[sim]')}")
             return SURROUNDINGS
         if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
             raise  # `main` ends the command
@@ -109,7 +112,7 @@ def _check(options: Namespace) -> int:
     from koordgen.build.pipeline import check_file
 
     checked = check_file(options.program)
-    tell([(checked.source, d) for d in checked.noticed], options)
+    print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
     return HOLDS
 
 
@@ -124,11 +127,14 @@ def _build(options: Namespace) -> int:
     from pathlib import Path
 
     if options.target is None and options.fleet is None:
-        raise Failure(USAGE, "neither --fleet nor --target is given", f"--target names some of {available_targets()}")
+        help = f"name a fleet file with --fleet, or targets with --target; possible targets: {available_targets()}"
+        raise Failure(USAGE, "neither --fleet nor --target is given", help)
     targets = None if options.target is None else target_names(options.target)
     bundles, app = planned(options, targets)
     if targets is not None and (missing := left_out(bundles, targets)):
-        say(f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built")
+        notify(
+            f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built"
+        )
     folder = Path(options.out) / app
     write(bundles, folder)
     for name, files in bundles.items():
@@ -156,7 +162,7 @@ def _fmt(options: Namespace) -> int:
         show_rejected(Rejected(mistakes), options)
     refused = [r.refused for r in results if r.refused]
     if refused:
-        raise Failure(SURROUNDINGS, "; ".join(refused), "what could not be written stands as it was")
+        raise Failure(SURROUNDINGS, "; ".join(refused), "files that could not be written are unchanged")
     return WRONG if mistakes or (dry and any(r.changed for r in results)) else HOLDS
 
 
@@ -178,7 +184,7 @@ def _explain(options: Namespace) -> int:
 
     if not options.code:
         print("\n".join(f"{code}  {title}" for code, title in CATALOGUE.items()))
-        print(f"words: {', '.join(topics())}")
+        print(f"other topics: {', '.join(topics())}")
         return HOLDS
     word = " ".join(options.code)
     code = word.upper()
@@ -188,7 +194,7 @@ def _explain(options: Namespace) -> int:
 
         near = nearest(code, [*CATALOGUE, *topics()]) if word else ""
         help = f"did you mean {near}? " if near else ""
-        raise Failure(USAGE, f"no code {word!r}", f"{help}`koordgen explain` lists all codes and words")
+        raise Failure(USAGE, f"no code {word!r}", f"{help}`koordgen explain` lists all codes and topics")
     print(text)
     return HOLDS
 
@@ -197,12 +203,12 @@ def _estop(options: Namespace) -> int:
     from koordgen.operate.estop import BY_HAND, BadAddress, CannotStop, show, stop_fleet
 
     if options.fleet is None and not options.address:
-        raise Failure(USAGE, "no fleet file is named, and no --address", f"nobody was called; {BY_HAND}")
+        raise Failure(USAGE, "no fleet file is named, and no --address", f"no robot was called; {BY_HAND}")
     try:
-        results = stop_fleet(options.fleet, options.key, say, options.address, options.application)
+        results = stop_fleet(options.fleet, options.key, notify, options.address, options.application)
     except CannotStop as error:
         status = USAGE if isinstance(error, BadAddress) else WRONG
-        raise Failure(status, str(error), f"{error.help}nobody was called; {BY_HAND}") from None
+        raise Failure(status, str(error), f"{error.help}no robot was called; {BY_HAND}") from None
     print(show(results, options.format), flush=True)
     if silent := sum(not result.phase for result in results):
         raise Failure(SURROUNDINGS, f"{silent} of {len(results)} robots did not answer", BY_HAND)
@@ -225,19 +231,19 @@ def _basestation(options: Namespace) -> int:
     import os
 
     from koordgen.build.pipeline import read_fleet
-    from koordgen.cli.base.terminal import Line
+    from koordgen.cli.base.terminal import ProgressLine
     from koordgen.operate.basestation import CannotServe, WrongFiles, all_targets, station
 
     fleet, _ = read_fleet(options.fleet, all_targets(), None)
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     try:
-        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, say)
+        serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, notify)
         try:
             serving.serve(line.show)
         except KeyboardInterrupt:
             line.end()
-            if not serving.camera.end():  # it waits for a frame within its library, and would crash Python's own end
-                say("interrupted")
+            if not serving.camera.end():  # its library still waits for a frame, and would crash Python at its exit
+                notify("interrupted")
                 os._exit(INTERRUPTED)
             raise
     except CannotServe as error:

@@ -1,7 +1,7 @@
 """Table of all commands, the overview of `koordgen help`, and the parser of each command.
 
-To add a command: give it a line in `COMMANDS` here and one in `_COMMANDS` of koordgen/cli/__init__.py. The parser of a
-command is made only when that command runs: making all of them takes longer than a check of a program.
+To add a command, add a line to `COMMANDS` here and to `_COMMANDS` of koordgen/cli/__init__.py. A parser is constructed
+only for the command that runs: constructing all parsers takes longer than checking a program.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from koordgen.cli.base import options
 from koordgen.cli.base.parser import USAGE, Command, Parser, nearest
 
 WRITE, PROVE, RUN, AFTER, ROBOTS, MORE = (
-    "write a program", "verify a program", "build and simulate", "look at a run", "robots", "more",
+    "write a program", "verify a program", "build and simulate", "examine a run", "operate robots", "more",
 )  # fmt: skip
 _LINEFORM = "examples/lineform/lineform.koord"
 _FLEET = "--fleet examples/lineform/fleet.yaml"
 
 COMMANDS: dict[str, Command] = {
-    "new": Command(WRITE, "write a small program and a fleet file to begin with", options.new,
+    "new": Command(WRITE, "write a small program and a fleet file as a start", options.new,
         "cli#new-examples-docs", ("koordgen new hello", "koordgen new my_robots")),
     "examples": Command(WRITE, "list the examples, or copy one", options.examples, "cli#new-examples-docs", (
         "koordgen examples copy lineform", "koordgen examples copy task my/tasks")),
@@ -30,14 +30,14 @@ COMMANDS: dict[str, Command] = {
         f"koordgen check {_LINEFORM}", f"koordgen check --format sarif {_LINEFORM} > koordgen.sarif")),
     "fmt": Command(WRITE, "format programs in place", options.fmt, "cli#fmt", (
         "koordgen fmt app.koord", "koordgen fmt --diff app.koord other.koord")),
-    "explain": Command(WRITE, "explain an error code, a verdict, or why robots skip rounds", options.explain,
+    "explain": Command(WRITE, "explain an error code, a verdict, or reasons for skipped rounds", options.explain,
         "errors", ("koordgen explain K030", "koordgen explain skip")),
-    "dump": Command(WRITE, "show a program as it is after a pass of the compiler", options.dump, "cli", (
+    "dump": Command(WRITE, "print a program after a pass of the compiler", options.dump, "cli", (
         f"koordgen dump {_LINEFORM}", f"koordgen dump --after parse {_LINEFORM}")),
     "prove": Command(PROVE, "prove a program's invariants, or show why they do not hold", options.prove,
         "proofs", ("koordgen prove examples/lineform/geofence.koord",
         "koordgen prove --robots 3..5 examples/lineform/geofence.koord")),
-    "explore": Command(PROVE, "try all runs of a fleet, and show the shortest one that violates a property",
+    "explore": Command(PROVE, "search all runs of a fleet for the shortest one that violates a property",
         options.explore, "explore", ("koordgen explore examples/election/election.koord",
         f"koordgen explore {_LINEFORM} --env examples/lineform/explore.yaml --rounds 4")),
     "validate": Command(PROVE, "test a program's assumptions about its ports on simulated platforms", options.validate,
@@ -48,37 +48,37 @@ COMMANDS: dict[str, Command] = {
     "campaign": Command(RUN, "simulate a fleet many times, and count the verdicts", options.campaign,
         "cli#campaign", (f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --vary seed=1:5",
         f"koordgen campaign {_LINEFORM} {_FLEET} --lockstep --runs 8 --vary seed,loss=0:0.3")),
-    "report": Command(AFTER, "make the page that shows a run: map, rounds, shared variables, network", options.report,
+    "report": Command(AFTER, "write a web page about a run: map, rounds, shared variables, network", options.report,
         "sim#the-report", ("koordgen report run-lineform", "koordgen report run-lineform -o lineform.html")),
-    "export": Command(AFTER, "write a run's trace as MCAP, CSV, picture or film, or an old one anew", options.export,
-        "sim#exports", ("koordgen export run-lineform --to csv",
+    "export": Command(AFTER, "convert a run's trace to MCAP, CSV, a picture or a video, or upgrade an old trace",
+        options.export, "sim#exports", ("koordgen export run-lineform --to csv",
         "koordgen export old-run --to koord-trace/2")),
-    "show": Command(AFTER, "show what each robot of a run knew at a time", options.show,
+    "show": Command(AFTER, "show the values that each robot of a run had at a time", options.show,
         "cli#show", ("koordgen show run-lineform", "koordgen show run-lineform --at 12")),
-    "replay": Command(AFTER, "run a trace's program again on the recorded inputs, and compare the results",
+    "replay": Command(AFTER, "run the program again on a trace's recorded inputs, and compare the results",
         options.replay, "cli#replay", ("koordgen replay run-lineform",
         "koordgen replay run-lineform/robots/bert/trace.jsonl")),
-    "audit": Command(AFTER, "judge a program's properties by the traces of a whole fleet", options.audit,
+    "audit": Command(AFTER, "check a program's properties on the traces of a whole fleet", options.audit,
         "audit", ("koordgen audit run-lineform", "koordgen audit alice.jsonl bert.jsonl --program app.koord")),
-    "deploy": Command(ROBOTS, "build a fleet, and bring its release to all robots or to none", options.deploy,
+    "deploy": Command(ROBOTS, "build a fleet, and install the release on all robots or on none", options.deploy,
         "deploy", (f"koordgen deploy {_LINEFORM} {_FLEET}",
         f"koordgen deploy {_LINEFORM} {_FLEET} --param laps=3")),
-    "rollback": Command(ROBOTS, "return all robots to the release before, or to another one that they still have",
+    "rollback": Command(ROBOTS, "return all robots to the previous release, or to another one that they still have",
         options.rollback, "deploy#rollback", ("koordgen rollback fleet.yaml",
         "koordgen rollback fleet.yaml --to 3f0c9b7d12ab45e6")),
     "start": Command(ROBOTS, "start the agents of a deployed fleet", options.start, "cli#start-and-stop", (
         "koordgen start fleet.yaml", "koordgen start fleet.yaml alice bert")),
     "stop": Command(ROBOTS, "stop the agents of a deployed fleet: quads land, cars brake", options.stop,
         "cli#start-and-stop", ("koordgen stop fleet.yaml", "koordgen stop fleet.yaml alice --seconds 60")),
-    "logs": Command(ROBOTS, "show the log lines of all robots of a deployed fleet in the order of time", options.logs,
+    "logs": Command(ROBOTS, "show the log lines of all robots of a deployed fleet, ordered by time", options.logs,
         "cli#logs", ("koordgen logs fleet.yaml --follow", "koordgen logs fleet.yaml alice --lines 200")),
-    "collect": Command(ROBOTS, "bring the traces and logs of a deployed fleet into one run folder", options.collect,
+    "collect": Command(ROBOTS, "copy the traces and logs of a deployed fleet into one run folder", options.collect,
         "cli#collect", ("koordgen collect fleet.yaml -o flight-7",
         "koordgen collect examples/lineform/fleet.yaml -o flight-7")),
-    "doctor": Command(ROBOTS, "test whether a robot or a deployed fleet is ready for a mission; nothing moves",
+    "doctor": Command(ROBOTS, "check whether a robot or a deployed fleet is ready for a mission; nothing moves",
         options.doctor, "cli#doctor", ("koordgen doctor build/lineform/alice",
         "koordgen doctor --fleet fleet.yaml --format json")),
-    "key": Command(ROBOTS, "make a fleet's key, or give a deployed fleet a new one", options.key, "safety", (
+    "key": Command(ROBOTS, "create a fleet's key, or replace the key of a deployed fleet", options.key, "safety", (
         "koordgen key new fleet.key", "koordgen key rotate fleet.yaml")),
     "basestation": Command(ROBOTS, "send the poses of a motion capture system to the robots of a fleet",
         options.basestation, "cli#basestation", (
@@ -87,15 +87,15 @@ COMMANDS: dict[str, Command] = {
     "estop": Command(ROBOTS, "emergency stop: stop all robots of a fleet at once", options.estop,
         "cli#estop", ("koordgen estop fleet.yaml",
         "koordgen estop --address 192.168.1.20:47100 --key fleet.key")),
-    "status": Command(ROBOTS, "show how each robot of a fleet does, as one table", options.status,
+    "status": Command(ROBOTS, "show the state of each robot of a fleet in one table", options.status,
         "cli#status-of-a-fleet", ("koordgen status fleet.yaml", "koordgen status fleet.yaml --watch")),
-    "dashboard": Command(ROBOTS, "show a fleet at work in a browser: map, rounds, links, batteries, log lines",
+    "dashboard": Command(ROBOTS, "show a running fleet in a browser: map, rounds, links, batteries, log lines",
         options.dashboard, "dashboard", ("koordgen dashboard fleet.yaml", "koordgen dashboard fleet.yaml --control")),
     "docs": Command(MORE, "list the pages of the documentation, or print one", options.docs, "cli#new-examples-docs", (
         "koordgen docs fleet", "koordgen docs cli#exit-statuses")),
     "help": Command(MORE, "list the commands, or explain one", options.help_, "cli", (
         "koordgen help", "koordgen help build")),
-    "completion": Command(MORE, "print the script with which a shell completes commands and options",
+    "completion": Command(MORE, "print a script that completes commands and options in a shell",
         options.completion, "cli#completion", (
         "koordgen completion bash > ~/.local/share/bash-completion/completions/koordgen",
         "koordgen completion fish > ~/.config/fish/completions/koordgen.fish")),
@@ -103,7 +103,7 @@ COMMANDS: dict[str, Command] = {
 
 
 def parsed(arguments: Sequence[str]) -> Namespace:
-    """Return the options, `command` among them. Leaves by SystemExit when they are wrong, or for help or version."""
+    """Return the options, with the command's name as `command`. Raises SystemExit for wrong ones, help and version."""
     first = arguments[0] if arguments else ""
     if first in ("-V", "--version"):
         print(f"koordgen {__version__}")
@@ -120,19 +120,19 @@ def parsed(arguments: Sequence[str]) -> Namespace:
 
 
 def command_of(name: str) -> Command | None:
-    """Return the command of that name; None if there is none."""
+    """Return the command `name`; None if it does not exist."""
     return COMMANDS.get(name) or harnesses().get(name)
 
 
 def wrong(name: str) -> str:
-    """Return the error for a name that is no command."""
+    """Return the error message for a name that is not a command."""
     if not name:
         return "no command is given"
-    return f"no command {name!r}" if not name.startswith("-") else f"{name} stands before the command"
+    return f"no command {name!r}" if not name.startswith("-") else f"the option {name} comes before the command"
 
 
 def way_out(name: str) -> str:
-    """Return the help for a name that is no command."""
+    """Return the help for a name that is not a command."""
     near = "" if not name or name.startswith("-") else nearest(name, [*COMMANDS, *harnesses()])
     return (f"did you mean {near}? " if near else "") + "`koordgen help` lists the commands"
 
@@ -145,7 +145,8 @@ def overview() -> str:
     for part in dict.fromkeys(command.part for command in COMMANDS.values()):
         lines += ["", f"{part}:"]
         lines += [f"  {n:<{width}}  {c.summary}" for n, c in everything.items() if c.part == part]
-    return "\n".join([*lines, "", "`koordgen help COMMAND` explains a command. More: `koordgen docs cli`"])
+    lines += ["", "First steps: `koordgen new hello`, or `koordgen docs` for the documentation."]
+    return "\n".join([*lines, "`koordgen help COMMAND` explains a command. More: `koordgen docs cli`"])
 
 
 @cache

@@ -1,7 +1,6 @@
-"""`koordgen completion`: the script with which bash, zsh or fish complete commands, options and files.
+"""`koordgen completion`: a script for bash, zsh or fish that completes commands, options and files.
 
-The package shtab makes the script from the very parsers of the commands. It is small, needs nothing else, and is
-imported here only: completing calls no Python.
+The package shtab generates the script from the parsers of the commands. The script runs without Python.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ _FILES = {"FILE", "APP.koord", "FLEET", "TRACE", "PATH"}
 
 
 def completion(options: argparse.Namespace) -> int:
-    """Print the script of a shell. Raises Failure."""
+    """Print the completion script of a shell. Raises Failure."""
     try:
         import shtab
     except ModuleNotFoundError:
@@ -30,9 +29,9 @@ def completion(options: argparse.Namespace) -> int:
 
 
 def _all_commands(shtab: Any) -> argparse.ArgumentParser:
-    """Return a parser with all commands, in which arguments that name files are marked."""
+    """Return a parser with all commands; arguments that are files or folders have shtab's marks."""
     parser = argparse.ArgumentParser("koordgen", description="fleets of robots")
-    parser.add_argument("-V", "--version", action="store_true", help="show the version and end")
+    parser.add_argument("-V", "--version", action="store_true", help="print the version and exit")
     commands = parser.add_subparsers(parser_class=_parser)  # type: ignore[call-overload]
     for name, command in {**COMMANDS, **harnesses()}.items():
         for action in commands.add_parser(name, help=command.summary)._actions:

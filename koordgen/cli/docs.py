@@ -22,7 +22,7 @@ KINDS = {
 
 
 def docs(options: Namespace) -> int:
-    """List the pages, or print one page or one section of it as it is: Markdown."""
+    """List the pages, or print a page or one of its sections as Markdown. Raises Failure."""
     if options.page is None:
         print(_listing())
     else:
@@ -33,8 +33,10 @@ def docs(options: Namespace) -> int:
 
 
 def pages() -> dict[str, Path]:
-    """Return the file of each page by name: README.md first, then each folder in alphabetic order, then the records of
-    decisions. No two pages of different folders have one name, so links in messages need no folder."""
+    """Return the file of each page by its name: README.md, then the pages of each folder, then records of decisions.
+
+    Names of pages are unique among all folders, so links in messages need no folder.
+    """
     folder = resources.docs()
     files = [path for kind in KINDS for path in sorted(folder.glob(f"{kind}/*.md"))]
     named = {"map" if path.stem == "README" else path.stem: path for path in files}
@@ -43,7 +45,7 @@ def pages() -> dict[str, Path]:
 
 
 def sections(text: str) -> dict[str, str]:
-    """The text of each section of a page with its subsections, by the anchor that links give it."""
+    """Return the text of each section of a page, with its subsections, by the section's anchor in links."""
     found: dict[str, str] = {}
     headings = [
         (len(m[1]), m[2], m.start()) for m in re.finditer(r"^(#+) (.*)$", _without_listings(text), re.MULTILINE)
@@ -55,7 +57,7 @@ def sections(text: str) -> dict[str, str]:
 
 
 def _without_listings(text: str) -> str:
-    """The text with every character of its listings replaced by a blank: `#` begins no heading in them."""
+    """Return the text with code blocks replaced by blanks, since `#` does not begin a heading in them."""
     return re.sub(r"^```.*?^```$", lambda m: re.sub(r"[^\n]", " ", m[0]), text, flags=re.MULTILINE | re.DOTALL)
 
 
@@ -66,7 +68,7 @@ def _listing() -> str:
     for kind, title in KINDS.items():
         own = {name: path for name, path in listed.items() if _kind(path) == kind}
         lines += ["", f"{title}:", *(f"  {name:{width}}  {_title(path)}" for name, path in own.items())]
-    return "\n".join([*lines, "", f"The pages are files, with pictures, in {resources.docs()}"])
+    return "\n".join([*lines, "", f"Files of the pages, with their pictures: {resources.docs()}"])
 
 
 def _kind(path: Path) -> str:
@@ -80,7 +82,7 @@ def _title(path: Path) -> str:
 
 
 def _page(name: str) -> str:
-    """Raises Failure."""
+    """Return the text of a page. Raises Failure."""
     there = pages()
     if name not in there:
         near = get_close_matches(Path(name).stem, there, 1)
@@ -90,7 +92,7 @@ def _page(name: str) -> str:
 
 
 def _section(text: str, page: str, anchor: str) -> str:
-    """Raises Failure."""
+    """Return the text of a section. Raises Failure."""
     there = sections(text)
     if anchor not in there:
         near = get_close_matches(anchor, there, 1)

@@ -1,7 +1,7 @@
-"""Fleet: the fleet file and all that it names.
+"""Fleet: the fleet file, and the files that it names.
 
-Owns: YAML with places, manifests of targets, robots, world, obstacles, meshes, starts, medium, motion capture,
+Owns: YAML with line numbers, manifests of targets, robots, world, obstacles, meshes, starts, network, motion capture,
     deployment, scenarios.
-Offers: `file.Fleet`, read and checked; `manifest.load`.
+Offers: `file.read`, which returns a checked `Fleet`; `manifest.load`.
 Must not import: `build` or any room above it.
 """

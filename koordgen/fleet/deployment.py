@@ -1,4 +1,4 @@
-"""Deployment keys of the fleet file: on which computer each robot runs, and how releases are kept and started there.
+"""Deployment keys of the fleet file: the computer of each robot, and how releases are stored and started there.
 
 Bundles do not depend on these keys.
 """
@@ -8,20 +8,22 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from koordgen.fleet.located import Reader, YamlNode
+from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.node import Node
 
 SERVICES = ("systemd", "none")
-WHEELS = ("index", "host")  # or a folder
+WHEELS = ("index", "host")  # or the path of a folder
 _LOGIN = re.compile(
     r"([A-Za-z_][A-Za-z0-9_.-]{0,31})@([A-Za-z0-9][A-Za-z0-9.-]{0,252}|\[[0-9A-Fa-f:.]+\])(?::(\d{1,5}))?"
 )
-_PLACE = re.compile(r"[A-Za-z0-9._/][A-Za-z0-9._/-]{0,199}")  # unit files and shells take these as they are
+_PLACE = re.compile(r"[A-Za-z0-9._/][A-Za-z0-9._/-]{0,199}")  # characters that need no quotes in unit files and shells
 
 
 class Login(Node):
-    """SSH address of a computer. `port` is None where the fleet file names none: SSH's own configuration, or
-    22, holds then."""
+    """SSH address of a computer.
+
+    port: None if the fleet file names none. Then SSH uses its own configuration, or 22.
+    """
 
     user: str
     name: str
@@ -34,8 +36,8 @@ class Login(Node):
         return f"{self.user}@{name}" + (f":{self.port}" if self.port else "")
 
 
-class Deployment(Node):
-    """Folder of the releases on hosts, and the way of running them.
+class DeploymentSettings(Node):
+    """Settings of releases on the hosts: their folder, and how they run.
 
     folder: relative to the home folder, or absolute.
     python: the interpreter on the hosts.
@@ -49,11 +51,11 @@ class Deployment(Node):
     wheels: str = "index"
 
 
-def read_deployment(reader: Reader, node: YamlNode | None) -> Deployment:
+def read_deployment(reader: YamlReader, node: YamlNode | None) -> DeploymentSettings:
     """Read the fleet file's `deploy`."""
     given = reader.table(node, "deploy", [], ["folder", "python", "service", "wheels"])
-    default = Deployment()
-    return Deployment(
+    default = DeploymentSettings()
+    return DeploymentSettings(
         _text(reader, given.get("folder"), "deploy.folder", _folder_misfit) or default.folder,
         _text(reader, given.get("python"), "deploy.python", _python_misfit) or default.python,
         reader.choice(given.get("service"), "deploy.service", SERVICES) or default.service,
@@ -61,8 +63,8 @@ def read_deployment(reader: Reader, node: YamlNode | None) -> Deployment:
     )
 
 
-def read_login(reader: Reader, node: YamlNode | None) -> Login | None:
-    """Read the `host` of a robot; None without one, or when it is reported."""
+def read_login(reader: YamlReader, node: YamlNode | None) -> Login | None:
+    """Read the `host` of a robot. None if there is none, or if it was reported as wrong."""
     text: str | None = reader.scalar(node, "host", str)
     if text is None or node is None:
         return None
@@ -73,30 +75,31 @@ def read_login(reader: Reader, node: YamlNode | None) -> Login | None:
     return Login(found[1], found[2].strip("[]"), int(found[3]) if found[3] else None)
 
 
-def _text(reader: Reader, node: YamlNode | None, what: str, misfit: Callable[[str], str]) -> str:
+def _text(reader: YamlReader, node: YamlNode | None, what: str, misfit: Callable[[str], str]) -> str:
     text: str | None = reader.scalar(node, what, str)
     if text is None or node is None:
         return ""
     if help := misfit(text):
-        reader.report("F005", f"{what} is {text!r}", node, help)
+        reader.report("F005", f"{what} cannot be {text!r}", node, help)
         return ""
     return text
 
 
 def _folder_misfit(text: str) -> str:
     if text.startswith("~"):
-        return "leave `~/` out: a relative folder is in the home folder of the host's user"
+        return "remove `~/`: a relative path starts in the home folder of the host's user"
     parts = text.strip("/").split("/")
     if not _PLACE.fullmatch(text) or not parts[0] or "." in parts or ".." in parts or "" in parts:
-        return "letters, digits, `.`, `_`, `-` and `/`, for example koordgen/lineform, without `..`"
+        return "use letters, digits, `.`, `_`, `-` and `/`, without `..`; for example koordgen/lineform"
     return ""
 
 
 def _python_misfit(text: str) -> str:
-    return "" if _PLACE.fullmatch(text) else "a command or an absolute path, for example python3.11 or /opt/bin/python3"
+    help = "write a command or an absolute path, for example python3.11 or /opt/bin/python3"
+    return "" if _PLACE.fullmatch(text) else help
 
 
 def _wheels_misfit(text: str) -> str:
     if text in WHEELS or ("/" in text and text.isprintable()):
         return ""
-    return f"there are: {', '.join(WHEELS)}, or a folder on this computer such as ./wheels"
+    return f"possible values: {', '.join(WHEELS)}, or a folder on this computer such as ./wheels"

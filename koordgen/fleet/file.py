@@ -1,4 +1,4 @@
-"""The fleet file: who is in the fleet, where, and what every robot of it must know. See docs/reference/fleet.md."""
+"""Fleet file: the robots of a fleet, their world, and settings that all robots share. See docs/reference/fleet.md."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import Any
 
 import yaml
 
-from koordgen.fleet.deployment import Deployment, read_deployment
-from koordgen.fleet.located import Reader, Report, YamlNode
+from koordgen.fleet.deployment import DeploymentSettings, read_deployment
 from koordgen.fleet.manifest import Target
-from koordgen.fleet.medium import Link, read_link, read_network
+from koordgen.fleet.medium import Medium, read_link, read_network
 from koordgen.fleet.mocap import Mocap, read_mocap
 from koordgen.fleet.obstacles import Obstacle, read_box, read_obstacles
-from koordgen.fleet.offered import Driver, Fits, Known, as_driver, read_settings
-from koordgen.fleet.robots import Robot, read_robots
+from koordgen.fleet.robots import FleetRobot, read_robots
+from koordgen.fleet.settings import DriverClass, NameChecks, ValueCheck, as_driver, read_settings
 from koordgen.fleet.starts import check_starts
-from koordgen.fleet.world import World, read_world
+from koordgen.fleet.world import FleetWorld, read_world
+from koordgen.fleet.yaml_reader import Report, YamlNode, YamlReader
 from koordgen.lang.node import Node
 from koordgen.lang.source import Source, Span
 
-# Thresholds of the safety layer, with the defaults of koordgen/runtime/config/settings.py (a test compares them).
+# Thresholds of the safety layer. Defaults are equal to those of koordgen/runtime/config/settings.py (tested).
 SAFETY: dict[str, Any] = {
     "position_stale": 0.5,
     "position_lost": 2.0,
@@ -30,60 +30,67 @@ SAFETY: dict[str, Any] = {
     "peer_timeout": 10,
     "outside_fence": 0.5,
 }
-MISSED_ACTIONS = ("hold", "rest")  # as there (a test compares them)
-MONITOR_ACTIONS = ("off", "log", "hold", "land", "stop")  # as there (a test compares them)
-LEAST_TIMEOUT = 3  # rounds: what is lost is asked for in the round after, and some of that is lost again
-GOING_ON = 5  # rounds after `peer_timeout` by which the others have gone on
+MISSED_ACTIONS = ("hold", "rest")  # equal to those of settings.py (tested)
+MONITOR_ACTIONS = ("off", "log", "hold", "land", "stop")  # equal to those of settings.py (tested)
+LEAST_TIMEOUT = 3  # rounds: a lost datagram is requested one round later, and the answer may be lost as well
+GOING_ON = 5  # rounds after `peer_timeout` within which the other robots have removed a dead robot and continue
 
 
 class Fleet(Node):
-    """A checked fleet file; plain values, as they go into the bundles' JSON. `harness` is keyed by target name;
-    `params` are plain values: numbers, bools, texts, lists, tables; `drivers` is keyed by module."""
+    """A checked fleet file, as plain values of the bundles' JSON files.
+
+    params: numbers, bools, texts, lists and tables, by the param's name. drivers: by module. harness: settings of
+    harnesses, by the target's name.
+    """
 
     application_id: int
     delta: float
     origin: dict[str, float]
     geofence: dict[str, list[float]]
-    obstacles: tuple[Obstacle, ...]  # the world's walls behind those that the file lists
-    world: World
-    avoid: str  # the allread variable in which robots publish their paths; empty without one
-    key: str  # file name; empty without one
+    obstacles: tuple[Obstacle, ...]  # those that the file lists, then the walls of the world
+    world: FleetWorld
+    avoid: str  # name of the allread variable in which robots publish their paths, or ""
+    key: str  # name of the key's file; "" for an insecure fleet
     insecure: bool
     params: dict[str, Any]
     safety: dict[str, Any]
-    monitors: dict[str, str]  # what robots do when a property is violated, by its name
-    planner_budget: float | None  # seconds that a planner may take within an event; None: see bundle/calls.py
-    drivers: dict[str, Driver]
-    robots: tuple[Robot, ...]
+    monitors: dict[str, str]  # action of the robots when a property is violated, by the property's name
+    planner_budget: float | None  # seconds of one port call; None: the default of bundle/port_calls.py
+    drivers: dict[str, DriverClass]
+    robots: tuple[FleetRobot, ...]
     harness: dict[str, dict[str, Any]]
-    link: Link | None  # None: nothing is said of it
-    network: dict[str, Any]  # `transport`, and what the file says of it
+    link: Medium | None  # None if the file has no `link`
+    network: dict[str, Any]  # `transport`, and its settings
     mocap: Mocap
-    deployment: Deployment
+    deployment: DeploymentSettings
 
 
 def read(
     source: Source,
     targets: Mapping[str, Target],
-    params: Mapping[str, Fits] | None,
+    params: Mapping[str, ValueCheck] | None,
     report: Report,
-    known: Known = Known(),  # noqa: B008  (it does not change)
+    known: NameChecks = NameChecks(),  # noqa: B008  (it does not change)
 ) -> Fleet | None:
-    """Check a fleet file against the targets there are and the program's params (None: whatever they are); None after
-    anything was reported."""
+    """Read and check a fleet file. Return None if an error was reported.
+
+    `targets`: all existing targets, by name. `params`: a check for each param of the program; None skips these checks.
+    """
     mistakes: list[tuple[str, str, Span, str]] = []
-    fleet = _read(Reader(source, lambda *mistake: mistakes.append(mistake)), source, targets, params, known, mistakes)
+    fleet = _read(
+        YamlReader(source, lambda *mistake: mistakes.append(mistake)), source, targets, params, known, mistakes
+    )
     for mistake in sorted(mistakes, key=lambda m: (m[2].line, m[2].column)):
         report(*mistake)
     return None if mistakes else fleet
 
 
 def _read(
-    reader: Reader,
+    reader: YamlReader,
     source: Source,
     targets: Mapping[str, Target],
-    params: Mapping[str, Fits] | None,
-    known: Known,
+    params: Mapping[str, ValueCheck] | None,
+    known: NameChecks,
     mistakes: list[Any],
 ) -> Fleet:
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
@@ -126,17 +133,18 @@ def _read(
     )
 
 
-def _key(reader: Reader, node: YamlNode | None, insecure: bool) -> str:
-    """The key's file name; the key itself is put beside the settings by hand and never enters a bundle."""
+def _key(reader: YamlReader, node: YamlNode | None, insecure: bool) -> str:
+    """Read the name of the key's file. The user copies the key beside `settings.json`; no bundle contains it."""
     name: str | None = reader.scalar(node, "key", str)
     if name and node is not None and ("/" in name or "\\" in name or name.startswith(".")):
-        reader.report("F005", f"key is a file name without folders, not {name!r}", node)
+        help = "write the name of a file in the folder of `settings.json`, for example fleet.key"
+        reader.report("F005", f"key must be a file name without folders, not {name!r}", node, help)
     if insecure and node is not None:
-        reader.report("F005", "a fleet has a key or is insecure, not both", node, "leave one of the two out")
+        reader.report("F005", "a fleet has a key or is insecure, not both", node, "remove `key` or `insecure`")
     return "" if insecure else name or "fleet.key"
 
 
-def _avoid(reader: Reader, node: YamlNode | None, fits: Fits) -> str:
+def _avoid(reader: YamlReader, node: YamlNode | None, fits: ValueCheck) -> str:
     name: str | None = reader.scalar(node, "avoid", str)
     if name is None or node is None:
         return ""
@@ -145,7 +153,7 @@ def _avoid(reader: Reader, node: YamlNode | None, fits: Fits) -> str:
     return name
 
 
-def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, Fits]) -> dict[str, Any]:
+def _params(reader: YamlReader, node: YamlNode | None, known: Mapping[str, ValueCheck]) -> dict[str, Any]:
     found = {}
     for name, value in reader.table(node, "params", [], known).items():
         found[name] = reader.plain(value, f"param {name}")
@@ -155,20 +163,21 @@ def _params(reader: Reader, node: YamlNode | None, known: Mapping[str, Fits]) ->
     return found
 
 
-def _drivers(reader: Reader, node: YamlNode | None) -> dict[str, Driver]:
-    found: dict[str, Driver] = {}
+def _drivers(reader: YamlReader, node: YamlNode | None) -> dict[str, DriverClass]:
+    found: dict[str, DriverClass] = {}
     named = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
     for module, value in reader.table(node, "modules", [], named).items():
         text: str = reader.scalar(value, f"the driver of {module}", str) or "a:A"
         driver = as_driver(text)
         if driver is None:
-            reader.report("F005", f"{text!r} names no driver class", value, "for example drivers.hvac:Hvac")
+            help = "write MODULE:CLASS, for example drivers.hvac:Hvac"
+            reader.report("F005", f"{text!r} does not name a driver class", value, help)
         else:
             found[module] = driver
     return found
 
 
-def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
+def _safety(reader: YamlReader, node: YamlNode | None) -> dict[str, Any]:
     found, given = dict(SAFETY), reader.table(node, "safety", [], SAFETY)
     for key, value in given.items():
         what = f"safety.{key}"
@@ -183,39 +192,43 @@ def _safety(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
                 found[key] = reader.number(value, f"{what} (seconds)", 0.05, 10000.0)
     if None in found.values() or found["missed_action"] != "rest":
         return found
-    patience, missed = found["peer_timeout"] + GOING_ON, found["missed_rounds"]
-    if missed <= patience:
+    recovery, missed = found["peer_timeout"] + GOING_ON, found["missed_rounds"]
+    if missed <= recovery:
         message = (
-            f"missed_action rest after {missed} rounds would bring all robots to rest when one is gone: they miss up "
-            f"to peer_timeout + {GOING_ON} = {patience} rounds before they go on without it"
+            f"missed_action rest after {missed} rounds would stop all robots when one robot is lost: the others miss "
+            f"up to peer_timeout + {GOING_ON} = {recovery} rounds before they continue without it"
         )
-        help = f"say `missed_rounds: {patience + 1}` or more, or a shorter peer_timeout"
+        help = f"write `missed_rounds: {recovery + 1}` or more, or a shorter peer_timeout"
         reader.report("F005", message, given["missed_action"], help)
     return found
 
 
 def _monitors(
-    reader: Reader, node: YamlNode | None, known: Known, robots: tuple[Robot, ...], targets: Mapping[str, Target]
+    reader: YamlReader,
+    node: YamlNode | None,
+    known: NameChecks,
+    robots: tuple[FleetRobot, ...],
+    targets: Mapping[str, Target],
 ) -> dict[str, str]:
     named = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
     there = named if known.properties is None else known.properties
     found = {}
     for name, value in reader.table(node, "monitors", [], ["default", *there]).items():
-        # YAML 1.1 reads a bare `off` as false.
+        # In YAML 1.1 an unquoted `off` is the bool false.
         bare = isinstance(value, yaml.ScalarNode) and value.value == "off"
         action = "off" if bare else reader.choice(value, f"monitors: {name}", MONITOR_ACTIONS)
         unable = [r.name for r in robots if action not in ("off", "log", *targets[r.target].actions)]
         if action is not None and unable:
-            message = f"monitors: {name} is {action!r}, which {', '.join(unable)} cannot"
-            reader.report("F005", message, value, "`stop` brings each robot to rest in its own way: a quad lands")
+            message = f"monitors: {name} is {action!r}, which these robots cannot do: {', '.join(unable)}"
+            reader.report("F005", message, value, "use `stop`: each robot stops in its own way, and a quad lands")
         elif action is not None:
             found[name] = action
     return found
 
 
-def own_classes(fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Driver]:
-    """The classes of the user's own that settings of robots name, by their file."""
-    found: dict[str, Driver] = {}
+def own_classes(fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, DriverClass]:
+    """Return the user's own classes that settings of robots name, by the path of their file."""
+    found: dict[str, DriverClass] = {}
     for robot in fleet.robots:
         for key, setting in targets[robot.target].settings.items():
             driver = as_driver(str(robot.settings[key])) if setting.methods else None

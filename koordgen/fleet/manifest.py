@@ -1,4 +1,4 @@
-"""What a target says of itself: `targets/<name>/manifest.toml`, typed. A new target is one dropped folder."""
+"""Target manifests: typed content of `targets/<name>/manifest.toml`. Adding a target means adding one folder."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from koordgen.lang.ir.decl import Meaning
 from koordgen.lang.ir.ports import declared
 from koordgen.lang.node import Node
 
-# The Platform interface of koordgen/runtime/vehicle/platform.py that this compiler's runtime offers.
+# Version of the Platform interface of koordgen/runtime/vehicle/platform.py.
 API = 1
-ACTIONS = ("hold", "stop")  # of every robot
+ACTIONS = ("hold", "stop")  # every robot can do these when a property is violated
 SETTING_TYPES = {"string": str, "float": float, "int": int, "bool": bool}
 
 
 class ManifestError(Exception):
-    """A target's folder that cannot be used; the message names the file and the key."""
+    """Raised for a target with a wrong manifest. The message names the file and the key."""
 
 
 class Setting(Node):
-    """One key that `settings:` of a robot, or the harness's section, may have in the fleet file. `words` may stand for
-    a number, or are all that a text may be; with `methods` a text may also name a user's class that has these."""
+    """Setting of a robot (under `settings:`) or of a harness (in its section) in the fleet file.
+
+    words: texts that are accepted instead of a number; for a text, its only possible values.
+    methods: if not empty, the text may also name a user's class that has these methods.
+    """
 
     type: Literal["string", "float", "int", "bool"]
     default: str | float | int | bool
@@ -34,7 +37,7 @@ class Setting(Node):
     methods: tuple[str, ...] = ()
 
     def misfit(self, value: Any) -> str:
-        """What is wrong with a value from elsewhere than a fleet file; "" for one that fits."""
+        """Return the reason why a value does not fit, or "". For values that do not come from a fleet file."""
         if value in self.words:
             return ""
         wanted = (int, float) if self.type == "float" else SETTING_TYPES[self.type]
@@ -43,32 +46,37 @@ class Setting(Node):
         if isinstance(value, (int, float)):
             least, most = -math.inf if self.least is None else self.least, math.inf if self.most is None else self.most
             return "" if least <= value <= most else f"it must be {least:g} to {most:g}"
-        return f"there are: {', '.join(self.words)}" if self.words and not self.methods else ""
+        return f"possible values: {', '.join(self.words)}" if self.words and not self.methods else ""
 
 
 Offered = dict[str, Setting | dict[str, Setting]]
 
 
-class Feed(Node):
-    """How robots of a target are told their poses: at the address in the setting `setting`, unless their settings are
-    as `unless` says."""
+class PoseFeed(Node):
+    """Address at which a robot receives its pose from a base station: the value of its setting `setting`.
+
+    unless: values of settings; a robot with all of these values receives no pose.
+    """
 
     setting: str
     unless: dict[str, Any]
 
 
 class Target(Node):
-    """One target. `kind` "agent" runs one robot (`entry` is its Platform class), "harness" a whole fleet on one host
-    (`entry` is its main function), both as "module:name". `sensors`, `actuators` and `callables` are keyed by
-    "Module.port" and say the Koord type, `meanings` what such a port means. `simulation` names the body and the
-    device that stand in for the real ones; `feed` how a base station finds it; `also` the other folders of targets/
-    whose files this one's code imports.
-    `one_of` names packages among `requirements` of which one is enough.
-    `actions` are what its robots can do when a property is violated: hold, come to rest (stop), land.
-    `robot` is what a harness lets the file say of each robot, single settings and groups of them, without defaults: the
-    harness has these. `footprint` names the settings (m) that tell how much room the body takes: `radius` about its
-    reference point, or `length`, `width` and `behind`, which is how much of the length is behind that; and `height`, if
-    not the radius. `alone` of a harness is the target of the one robot that it runs without a fleet file."""
+    """One target: a kind of robot, or a harness, which runs a whole fleet on one host.
+
+    kind: "agent" for a robot, "harness" for a harness.
+    entry: "module:name" of the Platform class of an agent, or of the main function of a harness.
+    sensors, actuators, callables: Koord types of ports, by "Module.port". meanings: the meaning of each port.
+    simulation: names of the simulated body and device. feed: address at which a base station sends poses.
+    also: other folders of targets/ from which the code imports.
+    one_of: packages in `requirements`, of which one is enough.
+    actions: what its robots can do when a property is violated: hold, stop, land.
+    robot: settings that a harness accepts for each robot, single or in groups; the harness has their defaults.
+    footprint: names of the settings (m) with the size of the body. Either `radius` around the reference point, or
+        `length`, `width` and `behind` (part of the length behind the reference point). `height` defaults to the radius.
+    alone: for a harness, the target of the single robot that it runs without a fleet file.
+    """
 
     name: str
     summary: str
@@ -81,7 +89,7 @@ class Target(Node):
     meanings: dict[str, Meaning]
     settings: dict[str, Setting]
     simulation: dict[str, str]
-    feed: Feed | None
+    feed: PoseFeed | None
     also: tuple[str, ...]
     folder: Path
     robot: Offered
@@ -92,7 +100,10 @@ class Target(Node):
 
     @property
     def goal(self) -> tuple[str, str, str] | None:
-        """A module, its sensor of the robot's own position, and its actuator that holds there until it is written."""
+        """Return (module, position sensor, goal actuator); None if the target has no such ports.
+
+        The actuator's value is the position of the robot until the program writes it.
+        """
         for name, meaning in self.meanings.items():
             module, _, port = name.partition(".")
             held = self.meanings.get(f"{module}.{meaning.held}")
@@ -102,17 +113,17 @@ class Target(Node):
 
     @property
     def modules(self) -> set[str]:
-        """The modules that a program may use on this target."""
+        """Names of the modules that a program may use on this target."""
         return {name.partition(".")[0] for name in (*self.sensors, *self.actuators, *self.callables)}
 
 
 def available() -> list[str]:
-    """The names of all targets, sorted."""
+    """Return the names of all targets, sorted."""
     return sorted(p.parent.name for p in resources.targets().glob("*/manifest.toml"))
 
 
 def load(name: str) -> Target:
-    """The target of that name, which must be among `available()`. Raises ManifestError."""
+    """Return the target `name`, which must be in `available()`. Raises ManifestError."""
     import tomllib
 
     path = resources.targets() / name / "manifest.toml"
@@ -130,11 +141,11 @@ def load(name: str) -> Target:
 
 def _target(raw: dict[str, Any], path: Path) -> Target:
     if raw["name"] != path.parent.name:
-        raise ValueError(f"name is {raw['name']!r} but the folder is {path.parent.name!r}")
+        raise ValueError(f"name is {raw['name']!r}, but the folder is {path.parent.name!r}; they must be equal")
     if raw["api"] != API:
-        raise ValueError(f"api is {raw['api']}, this koordgen offers {API}")
+        raise ValueError(f"api is {raw['api']}, but this koordgen supports {API}")
     if raw["kind"] not in ("agent", "harness"):
-        raise ValueError(f"kind is {raw['kind']!r}; it is 'agent' or 'harness'")
+        raise ValueError(f"kind is {raw['kind']!r}; it must be 'agent' or 'harness'")
     ports: dict[str, dict[str, str]] = {"sensors": {}, "actuators": {}, "callables": {}}
     meanings = {}
     for module, directions in raw.get("modules", {}).items():
@@ -154,7 +165,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
         meanings=meanings,
         settings={key: _setting(key, value) for key, value in raw.get("settings", {}).items()},
         simulation=raw.get("simulation", {}),
-        feed=Feed(raw["feed"]["setting"], raw["feed"].get("unless", {})) if "feed" in raw else None,
+        feed=PoseFeed(raw["feed"]["setting"], raw["feed"].get("unless", {})) if "feed" in raw else None,
         also=tuple(raw.get("also", ())),
         folder=path.parent,
         robot={key: _offered(key, value) for key, value in raw.get("robot", {}).items()},
@@ -166,7 +177,7 @@ def _target(raw: dict[str, Any], path: Path) -> Target:
 
 
 def _offered(key: str, raw: dict[str, Any]) -> Setting | dict[str, Setting]:
-    """One setting, or a group of them; their defaults are not the file's to know."""
+    """Return one setting, or a group of settings. The harness has their defaults, so they are 0 here."""
     if not isinstance(raw.get("type"), str):
         return {name: _setting(f"{key}.{name}", {"default": 0, **value}) for name, value in raw.items()}
     return _setting(key, {"default": 0, **raw})
@@ -174,7 +185,7 @@ def _offered(key: str, raw: dict[str, Any]) -> Setting | dict[str, Setting]:
 
 def _setting(key: str, raw: dict[str, Any]) -> Setting:
     if raw["type"] not in SETTING_TYPES:
-        raise ValueError(f"settings.{key}: type {raw['type']!r} is none of {', '.join(SETTING_TYPES)}")
+        raise ValueError(f"settings.{key}: type is {raw['type']!r}; it must be one of {', '.join(SETTING_TYPES)}")
     default = SETTING_TYPES[raw["type"]](raw["default"])
     words, methods = tuple(raw.get("words", ())), tuple(raw.get("methods", ()))
     return Setting(raw["type"], default, raw.get("min"), raw.get("max"), raw["doc"], words, methods)

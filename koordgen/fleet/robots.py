@@ -1,4 +1,4 @@
-"""The robots of a fleet file: their names, targets, addresses, starts and settings."""
+"""Robots of a fleet file: names, targets, addresses, starts and settings."""
 
 from __future__ import annotations
 
@@ -7,40 +7,40 @@ from collections.abc import Mapping
 from typing import Any
 
 from koordgen.fleet.deployment import Login, read_login
-from koordgen.fleet.located import Reader, YamlNode
 from koordgen.fleet.manifest import Target
-from koordgen.fleet.offered import Known, read_given, read_settings
+from koordgen.fleet.settings import NameChecks, read_given, read_settings
+from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.node import Node
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
-MOST_ROBOTS = 128  # as koordgen/runtime/net/wire.py allows (a test compares them)
+MOST_ROBOTS = 128  # equal to that of koordgen/runtime/net/wire.py (a test compares them)
 
 
-class Robot(Node):
-    """One robot. `start` holds `position` (m, ENU) and `yaw` (rad): where the simulator puts it."""
+class FleetRobot(Node):
+    """One robot. `start`: `position` (m, ENU) and `yaw` (rad) at which the simulator places it."""
 
     name: str
     pid: int
     target: str
     host: str
     port: int
-    control: int  # port of emergency stop and status, at the same host
+    control: int  # port for emergency stop and status, on the same host
     start: dict[str, Any]
     settings: dict[str, Any]
-    harness: dict[str, dict[str, Any]]  # by harness: what is said of this robot there, no defaults
+    harness: dict[str, dict[str, Any]]  # settings of this robot in each harness, without defaults
     login: Login | None  # `host` of the fleet file: the computer on which its agent runs
 
 
 class Roster(Node):
-    """The robots, and where the file says how each one starts: None where it does not."""
+    """Robots, and the YAML node of each robot's `start`; None if it has none."""
 
-    robots: tuple[Robot, ...] = ()
+    robots: tuple[FleetRobot, ...] = ()
     starts: tuple[YamlNode | None, ...] = ()
 
 
 def parse_address(text: str) -> tuple[str, int]:
-    """Host and port of HOST:PORT; ("", 0) for what is none."""
+    """Parse HOST:PORT into host and port; ("", 0) for another text."""
     found = _ADDRESS.fullmatch(text)
     if not found or not 1 <= int(found[2]) <= 65535:
         return "", 0
@@ -48,16 +48,16 @@ def parse_address(text: str) -> tuple[str, int]:
 
 
 def control_port(port: int) -> int:
-    """Where a robot takes orders by default, as koordgen/runtime/config/settings.py has it (a test compares them)."""
+    """Return the default port for emergency stop and status; equal to that of runtime/config/settings.py (tested)."""
     return port + 1000 if port + 1000 <= 65535 else port - 1000
 
 
-def read_robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target], known: Known) -> Roster:
-    """The fleet file's `robots`; every one has a target, a name and an address of its own."""
+def read_robots(reader: YamlReader, node: YamlNode | None, targets: Mapping[str, Target], known: NameChecks) -> Roster:
+    """Read the fleet file's `robots`. Names, addresses and control ports must be unique."""
     entries = reader.items(node, "robots")
     if node is not None and not 1 <= len(entries) <= MOST_ROBOTS:
-        reader.report("F005", f"robots lists {len(entries)}; a fleet has 1 to {MOST_ROBOTS}", node)
-    robots: list[Robot] = []
+        reader.report("F005", f"robots has {len(entries)} entries; a fleet has 1 to {MOST_ROBOTS} robots", node)
+    robots: list[FleetRobot] = []
     starts: list[YamlNode | None] = []
     harnesses = {name: target for name, target in targets.items() if target.kind == "harness"}
     optional = ["control", "host", "start", "settings", *sorted(harnesses)]
@@ -70,12 +70,14 @@ def read_robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Tar
         control = reader.number(keys.get("control"), "control", 1, 65535, int) or control_port(port)
         taken: list[tuple[str, object, str | None]] = [("name", name, name)]
         if port:
-            repeated = (host, port) in seen  # then so is its usual control port: one mistake
+            repeated = (host, port) in seen  # then the default control port repeats, too: report the address only
             taken.append(("address", (host, port), f"{host}:{port}"))
             taken += [("control", (host, control), f"{host}:{control}")] if not repeated else []
         for key, value, shown in taken:
             if value is not None and seen.setdefault(value, f"{what}'s {key}") != f"{what}'s {key}":
-                help = "" if key in keys else "`control: PORT` sets another port for emergency stop and status"
+                help = f"give it another {key}"
+                if key not in keys:
+                    help = "write `control: PORT` for another port for emergency stop and status"
                 reader.report("F006", f"{key} {shown} is already {seen[value]}", keys.get(key, entry), help)
         target = _target(reader, keys.get("target"), targets)
         settings = {}
@@ -84,13 +86,13 @@ def read_robots(reader: Reader, node: YamlNode | None, targets: Mapping[str, Tar
         start = _start(reader, keys.get("start"), what)
         own = {n: _in_harness(reader, keys[n], f"{what}'s {n}", t, known) for n, t in harnesses.items() if n in keys}
         login, kind = read_login(reader, keys.get("host")), target.name if target else ""
-        robots.append(Robot(name or "", pid, kind, host, port, control, start, settings, own, login))
+        robots.append(FleetRobot(name or "", pid, kind, host, port, control, start, settings, own, login))
         starts.append(keys.get("start"))
     return Roster(tuple(robots), tuple(starts))
 
 
-def _in_harness(reader: Reader, node: YamlNode, what: str, harness: Target, known: Known) -> dict[str, Any]:
-    """What is said of one robot in a harness, in groups as its manifest has them."""
+def _in_harness(reader: YamlReader, node: YamlNode, what: str, harness: Target, known: NameChecks) -> dict[str, Any]:
+    """Read the settings of one robot in a harness, in the groups of its manifest."""
     groups = {key: offered for key, offered in harness.robot.items() if isinstance(offered, dict)}
     single = {key: offered for key, offered in harness.robot.items() if not isinstance(offered, dict)}
     given = reader.table(node, what, [], harness.robot)
@@ -101,21 +103,22 @@ def _in_harness(reader: Reader, node: YamlNode, what: str, harness: Target, know
     return found
 
 
-def _name(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> str | None:
+def _name(reader: YamlReader, node: YamlNode | None, targets: Mapping[str, Target]) -> str | None:
     name: str | None = reader.scalar(node, "name", str)
     if name is None or node is None:
         return None
-    # Names become folders beside these.
+    # The name becomes a folder beside the folders `fleet`, `state` and those of targets.
     if not _NAME.fullmatch(name) or name in ("fleet", "state") or name in targets:
         reader.report(
-            "F005", f"{name!r} cannot name a robot", node,
-            "a letter, then letters, digits, - or _, all lower case, at most 32; not fleet, state or a target's name",
+            "F005", f"{name!r} cannot be a robot's name", node,
+            "write a lower-case letter, then lower-case letters, digits, - or _, at most 32 characters; not fleet, "
+            "state or a target's name",
         )  # fmt: skip
         return None
     return name
 
 
-def _address(reader: Reader, node: YamlNode | None) -> tuple[str, int]:
+def _address(reader: YamlReader, node: YamlNode | None) -> tuple[str, int]:
     text: str | None = reader.scalar(node, "address", str)
     if text is None or node is None:
         return "", 0
@@ -124,23 +127,24 @@ def _address(reader: Reader, node: YamlNode | None) -> tuple[str, int]:
         reader.report("F005", f"address {text!r} is not HOST:PORT", node, "for example 192.168.1.20:47100")
         return "", 0
     if host in ("0.0.0.0", "::"):
-        reader.report("F005", f"nothing can be sent to {host}", node, "name the address at which the peers reach it")
+        help = "write the address at which the other robots reach this one"
+        reader.report("F005", f"other robots cannot send to {host}", node, help)
         return "", 0
     return host, port
 
 
-def _target(reader: Reader, node: YamlNode | None, targets: Mapping[str, Target]) -> Target | None:
+def _target(reader: YamlReader, node: YamlNode | None, targets: Mapping[str, Target]) -> Target | None:
     name: str | None = reader.scalar(node, "target", str)
     if name is None or node is None:
         return None
     agents = sorted(n for n, t in targets.items() if t.kind == "agent")
     if name not in agents:
-        reader.report("F007", f"no target {name!r} that a robot could be", node, f"there are: {', '.join(agents)}")
+        reader.report("F007", f"there is no robot target {name!r}", node, f"possible targets: {', '.join(agents)}")
         return None
     return targets[name]
 
 
-def _start(reader: Reader, node: YamlNode | None, what: str) -> dict[str, Any]:
+def _start(reader: YamlReader, node: YamlNode | None, what: str) -> dict[str, Any]:
     keys = reader.table(node, f"{what}'s start", ["position"], ["yaw"])
     position = reader.vector(keys.get("position"), f"{what}'s start position")
     yaw = reader.number(keys.get("yaw"), f"{what}'s yaw (radians)", -6.3, 6.3)

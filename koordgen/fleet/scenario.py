@@ -1,6 +1,6 @@
-"""A harness's scenario file: YAML whose meaning the harness knows, and whose every value still knows its place.
+"""Scenario files of harnesses: YAML that the harness checks, with errors at lines and columns.
 
-What is wrong with it the harness tells by paths of keys and numbers; here they become lines and columns.
+The harness reports an error with a path of keys and list indices; this module finds its line and column.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from typing import Any, Protocol
 
 import yaml
 
-from koordgen.fleet.located import Reader, Report, YamlNode
+from koordgen.fleet.yaml_reader import Report, YamlNode, YamlReader
 from koordgen.lang.source import Source
 
 Path = tuple[str | int, ...]
 
 
-class Mistake(Protocol):
-    """What a harness finds wrong: `path` leads to it (`at_key`: its key is), `code` is one of the catalogue's."""
+class ScenarioMistake(Protocol):
+    """Error in a scenario. `path`: keys and indices to the value; `at_key`: the key is wrong, not the value."""
 
     @property
     def code(self) -> str: ...
@@ -35,15 +35,15 @@ class Mistake(Protocol):
     def at_key(self) -> bool: ...
 
 
-def read(source: Source, check: Callable[[Any], Sequence[Mistake]], report: Report) -> Any:
-    """The file's plain value, as for JSON. None after anything was reported."""
+def read(source: Source, check: Callable[[Any], Sequence[ScenarioMistake]], report: Report) -> Any:
+    """Read and check a scenario file. Return its content as JSON values; None if an error was reported."""
     mistakes: list[tuple[str, str, Any, str]] = []
-    reader = Reader(source, lambda *mistake: mistakes.append(mistake))
+    reader = YamlReader(source, lambda *mistake: mistakes.append(mistake))
     root = reader.document()
     plain = None
     if root is not None:
         for key in _repeated(root):
-            reader.report("F006", f"{key.value!r} stands twice", key)
+            reader.report("F006", f"{key.value!r} appears twice", key, "remove one of the two")
         plain = reader.plain(root, "a value")
         if not mistakes:
             for found in check(plain):
@@ -54,7 +54,7 @@ def read(source: Source, check: Callable[[Any], Sequence[Mistake]], report: Repo
 
 
 def _repeated(node: YamlNode) -> Iterator[YamlNode]:
-    """The keys that stand in one mapping a second time."""
+    """Yield each key that appears in the same mapping a second time."""
     if isinstance(node, yaml.SequenceNode):
         for item in node.value:
             yield from _repeated(item)
@@ -68,7 +68,7 @@ def _repeated(node: YamlNode) -> Iterator[YamlNode]:
 
 
 def _place(root: YamlNode, path: Path, at_key: bool) -> YamlNode:
-    """Where a path leads; as far as it does, if it ends in nothing."""
+    """Return the node at a path; if a step does not exist, the node before that step."""
     node = root
     for depth, step in enumerate(path):
         if isinstance(node, yaml.SequenceNode) and isinstance(step, int) and step < len(node.value):

@@ -1,6 +1,6 @@
-"""Where robots start, as far as a fleet file tells it: within the arena, in nothing, in contact with nobody.
+"""Starts of robots: checks that each robot starts within the arena, and touches no obstacle, wall or other robot.
 
-Bodies are judged by the room that they take seen from above, and by their height. Meshes are not looked at, but walls.
+A body is its outline seen from above, and its height. Obstacles that are meshes are not checked; walls are.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from koordgen.fleet.located import Reader
 from koordgen.fleet.manifest import Target
 from koordgen.fleet.obstacles import Obstacle
-from koordgen.fleet.robots import Robot, Roster
-from koordgen.fleet.world import World
+from koordgen.fleet.robots import FleetRobot, Roster
+from koordgen.fleet.world import FleetWorld
+from koordgen.fleet.yaml_reader import YamlReader
 from koordgen.lang.node import Node
 
 Place = tuple[float, float]
-TOUCH = 1e-6  # metres: what only touches, above or beside, is no contact
+TOUCH = 1e-6  # metres: bodies that overlap less than this are not in contact
 
 
 class Shape(Node):
-    """All that is within `radius` (m) of a convex polygon of `corners` (m, ENU; one: a disc), from `low` to `high`."""
+    """Convex polygon, enlarged by `radius` (m), from height `low` to `high` (m). One corner: a disc. Metres, ENU."""
 
     corners: tuple[Place, ...]
     radius: float
@@ -30,15 +30,17 @@ class Shape(Node):
 
 
 def check_starts(
-    reader: Reader,
+    reader: YamlReader,
     roster: Roster,
     targets: Mapping[str, Target],
     geofence: dict[str, list[float]],
-    world: World,
+    world: FleetWorld,
     obstacles: tuple[Obstacle, ...],
 ) -> None:
-    """A file that says where one robot starts says it for all: the others start at the origin. One that says it for
-    none has no starts to be looked at."""
+    """Check the starts of all robots, if the file has a start for at least one of them.
+
+    Robots without a start are at the origin.
+    """
     if not any(roster.starts):
         return
     bodies: list[Shape] = []
@@ -53,15 +55,15 @@ def check_starts(
         place = node or next(start for start in roster.starts if start is not None)
         if wrong:
             shown = ", ".join(f"{v:g}" for v in robot.start["position"])
-            help = "give it another start" if node is not None else "give it a start: without one it is the origin"
+            help = "change its start" if node is not None else "give it a start: the default is the origin"
             reader.report("F005", f"{robot.name} starts at ({shown}), {wrong}", place, help)
 
 
 def _wrong(
-    robot: Robot,
+    robot: FleetRobot,
     body: Shape,
     geofence: dict[str, list[float]],
-    world: World,
+    world: FleetWorld,
     solids: list[tuple[str, Obstacle | Shape]],
 ) -> str:
     position = robot.start["position"]
@@ -75,14 +77,14 @@ def _wrong(
     return ""
 
 
-def _solids(world: World, obstacles: tuple[Obstacle, ...]) -> Iterator[tuple[str, Obstacle | Shape]]:
+def _solids(world: FleetWorld, obstacles: tuple[Obstacle, ...]) -> Iterator[tuple[str, Obstacle | Shape]]:
     yield from ((f"obstacle {number}", obstacle) for number, obstacle in enumerate(obstacles))
     for number, wall in enumerate(world.walls):
         yield f"wall {number}", Shape(wall.corners, 0.0, wall.low, wall.low + wall.height)
 
 
-def _body(robot: Robot, target: Target) -> Shape:
-    """As the settings that the manifest's `footprint` names tell it; a point, where it names none."""
+def _body(robot: FleetRobot, target: Target) -> Shape:
+    """Return a robot's shape at its start, by the settings that `footprint` names; a point without a footprint."""
     size = {part: float(robot.settings[setting]) for part, setting in target.footprint.items()}
     (x, y, z), yaw = robot.start["position"], robot.start["yaw"]
     radius = size.get("radius", 0.0)
@@ -95,7 +97,7 @@ def _body(robot: Robot, target: Target) -> Shape:
 
 
 def _cut(obstacle: dict[str, Any], low: float, high: float) -> Shape | None:
-    """What of an obstacle is between two heights, at its widest."""
+    """Return the widest horizontal cut of an obstacle between two heights (m); None for a mesh or no overlap."""
     match obstacle:
         case {"shape": "box", "lo": [x0, y0, z0], "hi": [x1, y1, z1]}:
             return Shape(((x0, y0), (x1, y0), (x1, y1), (x0, y1)), 0.0, z0, z1)
@@ -114,7 +116,7 @@ def _touch(a: Shape, b: Shape) -> bool:
 
 
 def _distance(a: tuple[Place, ...], b: tuple[Place, ...]) -> float:
-    """Of two convex polygons; less than 0 where they overlap."""
+    """Return the distance (m) of two convex polygons; negative if they overlap."""
     if len(a) + len(b) > 2 and not any(_splits(edge, a, b) for edge in (*_edges(a), *_edges(b))):
         return -1.0
     pairs = [(p, edge) for p in a for edge in _edges(b)] + [(p, edge) for p in b for edge in _edges(a)]
@@ -126,7 +128,7 @@ def _edges(corners: tuple[Place, ...]) -> list[tuple[Place, Place]]:
 
 
 def _splits(edge: tuple[Place, Place], a: tuple[Place, ...], b: tuple[Place, ...]) -> bool:
-    """Whether the edge's normal keeps two polygons apart (the separating axis theorem)."""
+    """Return whether the normal of an edge separates two polygons (separating axis theorem)."""
     (x0, y0), (x1, y1) = edge
     along = [[(y1 - y0) * x - (x1 - x0) * y for x, y in corners] for corners in (a, b)]
     gap = TOUCH * math.hypot(x1 - x0, y1 - y0)

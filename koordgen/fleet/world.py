@@ -1,6 +1,6 @@
-"""The world of a fleet file: the arena, walls, what the floor and the air are like, markers. Metres, local ENU.
+"""World section of the fleet file: arena, walls, floor friction, wind and markers. Metres, local ENU.
 
-Robots know of the walls alone; the rest is a harness's.
+Robots receive the walls, as obstacles; only harnesses use the rest.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from typing import Any
 
 import yaml
 
-from koordgen.fleet.located import Reader, YamlNode
 from koordgen.fleet.obstacles import LEAST, MOST, Obstacle, read_box
-from koordgen.fleet.offered import Known
+from koordgen.fleet.settings import NameChecks
+from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.node import Node
 
 MOST_WALLS = 200
@@ -21,8 +21,10 @@ Place = tuple[float, float]
 
 
 class Wall(Node):
-    """An upright wall over the line between two places, which it reaches beyond by half its thickness, so that walls
-    with a common end close a corner; `low` is the height of its foot."""
+    """Upright wall over the line from `start` to `end`; lengths in metres. `low`: height of its lower edge.
+
+    The wall extends by half its thickness beyond both ends, so walls with a common end leave no gap.
+    """
 
     start: Place
     end: Place
@@ -32,7 +34,7 @@ class Wall(Node):
 
     @property
     def corners(self) -> tuple[Place, Place, Place, Place]:
-        """Seen from above, counter-clockwise."""
+        """Corners of its outline (m, ENU), counter-clockwise from above."""
         dx, dy = self.end[0] - self.start[0], self.end[1] - self.start[1]
         half = self.thickness / 2 / math.hypot(dx, dy)
         ax, ay = half * dx, half * dy  # along the wall; across it is (-ay, ax)
@@ -43,7 +45,7 @@ class Wall(Node):
         )  # fmt: skip
 
     def obstacle(self) -> Obstacle:
-        """A box, if it lies along an axis, or else the mesh of its faces."""
+        """Return the wall as an obstacle: a box if it is parallel to an axis, else a mesh."""
         corners, high = self.corners, self.low + self.height
         if self.start[0] == self.end[0] or self.start[1] == self.end[1]:
             xs, ys = [x for x, _ in corners], [y for _, y in corners]
@@ -55,25 +57,26 @@ class Wall(Node):
         }
 
 
-# Of a prism over four corners, outward: the lower and the upper ones are numbered counter-clockwise seen from above.
+# Triangles of a prism over four corners, with outward normals. Corners 0 to 3 are the lower, 4 to 7 the upper ones,
+# counter-clockwise from above.
 _SIDES = tuple(f for i in range(4) for j in [(i + 1) % 4] for f in ((i, j, j + 4), (i, j + 4, i + 4)))
 _FACES = ((0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7), *_SIDES)
 
 
-class World(Node):
-    """`facts` are plain values, as they go into a harness's scenario."""
+class FleetWorld(Node):
+    """World of the fleet. `facts`: arena, friction, wind and markers as JSON values of a harness's scenario."""
 
     walls: tuple[Wall, ...]
     arena: dict[str, list[float]] | None
     facts: dict[str, Any]
 
 
-def read_world(reader: Reader, node: YamlNode | None, known: Known) -> World:
-    """The fleet file's `world`."""
+def read_world(reader: YamlReader, node: YamlNode | None, known: NameChecks) -> FleetWorld:
+    """Read the fleet file's `world`."""
     given = reader.table(node, "world", [], ["arena", "walls", "floor_friction", "wind", "markers", "marker_list"])
     arena = read_box(reader, given["arena"], "world.arena") if "arena" in given else None
     friction = reader.number(given.get("floor_friction"), "world.floor_friction", 0.01, 10.0)
-    return World(
+    return FleetWorld(
         _walls(reader, given.get("walls")),
         arena,
         {
@@ -86,15 +89,15 @@ def read_world(reader: Reader, node: YamlNode | None, known: Known) -> World:
     )
 
 
-def _walls(reader: Reader, node: YamlNode | None) -> tuple[Wall, ...]:
+def _walls(reader: YamlReader, node: YamlNode | None) -> tuple[Wall, ...]:
     entries = reader.items(node, "world.walls")
     if node is not None and len(entries) > MOST_WALLS:
-        reader.report("F005", f"world.walls lists {len(entries)}; there may be at most {MOST_WALLS}", node)
+        reader.report("F005", f"world.walls has {len(entries)} entries; at most {MOST_WALLS} are allowed", node)
     found = (_wall(reader, entry, f"wall {i}") for i, entry in enumerate(entries))
     return tuple(wall for wall in found if wall is not None)
 
 
-def _wall(reader: Reader, node: YamlNode, what: str) -> Wall | None:
+def _wall(reader: YamlReader, node: YamlNode, what: str) -> Wall | None:
     keys = reader.table(node, what, ["from", "to"], ["thickness", "height", "low"])
     start, end = _place(reader, keys.get("from"), f"{what}.from"), _place(reader, keys.get("to"), f"{what}.to")
     thickness = reader.number(keys.get("thickness"), f"{what}.thickness (metres)", LEAST, MOST)
@@ -103,12 +106,12 @@ def _wall(reader: Reader, node: YamlNode, what: str) -> Wall | None:
     if start is None or end is None:
         return None
     if math.dist(start, end) < LEAST:
-        reader.report("F005", f"{what} begins where it ends", keys["to"], "give it another end")
+        reader.report("F005", f"{what} starts and ends at the same point", keys["to"], "change one of the two")
         return None
     return Wall(start, end, thickness or 0.1, height or 1.0, low or 0.0)
 
 
-def _place(reader: Reader, node: YamlNode | None, what: str) -> Place | None:
+def _place(reader: YamlReader, node: YamlNode | None, what: str) -> Place | None:
     if node is None:
         return None
     elements = reader.items(node, what)
@@ -120,9 +123,12 @@ def _place(reader: Reader, node: YamlNode | None, what: str) -> Place | None:
     return None if x is None or y is None else (x, y)
 
 
-def _wind(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
-    """`mean`, the air's velocity (m/s, ENU); `gust`, the standard deviation of what comes on top of it in each
-    direction (m/s); `correlation`, the time in which that changes (s)."""
+def _wind(reader: YamlReader, node: YamlNode | None) -> dict[str, Any]:
+    """Read `wind`.
+
+    mean: velocity of the air (m/s, ENU). gust: standard deviation of the additional velocity in each direction (m/s).
+    correlation: correlation time of the gusts (s).
+    """
     what = "world.wind"
     given = reader.table(node, what, [], ["mean", "gust", "correlation"])
     gust = reader.number(given.get("gust"), f"{what}.gust (m/s)", 0.0, 50.0)
@@ -134,10 +140,10 @@ def _wind(reader: Reader, node: YamlNode | None) -> dict[str, Any]:
     }
 
 
-def _markers(reader: Reader, node: YamlNode | None) -> list[dict[str, Any]]:
+def _markers(reader: YamlReader, node: YamlNode | None) -> list[dict[str, Any]]:
     entries = reader.items(node, "world.markers")
     if node is not None and len(entries) > MOST_MARKERS:
-        reader.report("F005", f"world.markers lists {len(entries)}; there may be at most {MOST_MARKERS}", node)
+        reader.report("F005", f"world.markers has {len(entries)} entries; at most {MOST_MARKERS} are allowed", node)
     found: list[dict[str, Any]] = []
     names: set[str] = set()
     for number, entry in enumerate(entries):
@@ -145,14 +151,14 @@ def _markers(reader: Reader, node: YamlNode | None) -> list[dict[str, Any]]:
         keys = reader.table(entry, what, ["name", "position"], ["radius"])
         name: str | None = reader.scalar(keys.get("name"), f"{what}.name", str)
         if name is not None and name in names:
-            reader.report("F006", f"marker {name!r} is there twice", keys["name"])
+            reader.report("F006", f"two markers have the name {name!r}", keys["name"], "rename one of them")
         names.add(name or "")
         position = reader.vector(keys.get("position"), f"{what}.position")
         found.append({"name": name, "position": position, "radius": _radius(reader, keys, what)})
     return found
 
 
-def _marker_list(reader: Reader, node: YamlNode | None, known: Known) -> dict[str, Any] | None:
+def _marker_list(reader: YamlReader, node: YamlNode | None, known: NameChecks) -> dict[str, Any] | None:
     if node is None:
         return None
     what = "world.marker_list"
@@ -164,5 +170,5 @@ def _marker_list(reader: Reader, node: YamlNode | None, known: Known) -> dict[st
     return {"variable": variable, "position": position, "radius": _radius(reader, keys, what)}
 
 
-def _radius(reader: Reader, keys: dict[str, YamlNode], what: str) -> float:
+def _radius(reader: YamlReader, keys: dict[str, YamlNode], what: str) -> float:
     return reader.number(keys.get("radius"), f"{what}.radius (metres)", LEAST, MOST) or 0.3

@@ -1,6 +1,6 @@
-"""What the compiler tells its user: diagnostics as data, their catalogue, their rendering for people and as JSON.
+"""Diagnostics of the compiler: their data, their catalogue, and their rendering as text and as JSON.
 
-Only the command line prints. A mistake of the user is a Diagnostic; a mistake of the compiler is an InternalError.
+Only the command line prints. A user's mistake is a Diagnostic; a bug of the compiler is an InternalError.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from koordgen.lang.source import Source, Span
 
 Severity = Literal["error", "warning", "note"]
 
-# code -> title, the only place of titles. K: the program. F: files, the fleet file above all. B: building for a target.
-# A code's meaning never changes; a code that is given up is never used again.
+# Code -> title. K: the program. F: files, in particular the fleet file. B: building for a target. A code's meaning
+# never changes; a retired code is never used again.
 CATALOGUE: dict[str, str] = {
     "K001": "something else is expected here",
     "K002": "unexpected character",
@@ -31,7 +31,7 @@ CATALOGUE: dict[str, str] = {
     "K014": "wrong number of arguments",
     "K015": "no such field",
     "K016": "unknown type",
-    "K017": "a name is used as what it is not",
+    "K017": "a name is used as another kind of thing",
     "K018": "port not declared",
     "K019": "an event or a program lacks a part",
     "K020": "write to a sensor",
@@ -41,76 +41,79 @@ CATALOGUE: dict[str, str] = {
     "K024": "statement without effect",
     "K025": "initial value is not constant",
     "K026": "a function calls itself",
-    "K027": "a statement or an effect has no place here",
-    "K028": "'break', 'continue' or 'return' has nothing to leave",
+    "K027": "a statement or an effect is not allowed here",
+    "K028": "'break' or 'continue' outside of a loop, or 'return' outside of a function",
     "K029": "a function can end without a result",
     "K030": "index names no robot",
     "K031": "index may name no robot",
     "K032": "division by zero",
     "K033": "divisor may be zero",
     "K034": "index may leave its range",
-    "K035": "loop without a visible bound",
+    "K035": "a loop that is not proved to end",
     "K036": "index counts from the end",
     "K040": "update may be lost",
     "K041": "event can never run",
     "K042": "event is hidden by an earlier one",
     "K043": "statement can never run",
     "K044": "plain write to a variable of atomic events",
-    "K045": "'atomic' has no place here",
-    "K046": "priority over nothing",
+    "K045": "'atomic' is not allowed here",
+    "K046": "a priority block with a single event",
     "K050": "a spelling of the 2020 dialect",
     "K051": "the type of an empty value is unknown",
     "K052": "wrong type of a key",
     "K053": "wrong capacity",
-    "K054": "a name or a mark has no place in a property",
+    "K054": "a name or a mark is not allowed in a property",
     "K055": "a type contains itself",
     "K056": "wrong use of a stream",
-    "K057": "a value known in advance does not exist, or cannot be kept",
-    "K058": "a loop invariant or 'old' has no place here",
+    "K057": "a constant value does not exist, or cannot be stored",
+    "K058": "a loop invariant or 'old' is not allowed here",
     "K059": "the meaning of a port does not fit",
-    "F001": "not YAML",
+    "F001": "not valid YAML",
     "F002": "unknown key",
     "F003": "missing key",
     "F004": "wrong type of value",
-    "F005": "value out of range, or of another form",
+    "F005": "value out of range, or in the wrong form",
     "F006": "given twice: a key, a robot's name, an address",
     "F007": "unknown target",
     "F100": "a file cannot be read",
     "F101": "a file is not UTF-8",
-    "B001": "the target offers no such module",
-    "B002": "the target offers no such port",
+    "B001": "the target has no such module",
+    "B002": "the target has no such port",
     "B003": "the target's port has another type",
-    "B004": "what robots share is more than can be sent",
+    "B004": "shared variables are too large to be sent",
     "B005": "a driver cannot serve the module",
-    "B006": "the Python beside the program lacks something",
+    "B006": "the functions file lacks a required function or class",
     "B007": "calls of ports may take too long for a round",
-    "B008": "a round's writes of all robots are more than the link carries",
+    "B008": "the writes of all robots in a round exceed what the link carries",
     "B009": "an event's writes may need several datagrams",
-    "B010": "the target's port means something else",
+    "B010": "the target's port has another meaning",
 }
 
 
 class InternalError(Exception):
-    """The compiler is wrong, whatever the user wrote."""
+    """A bug of the compiler, whatever the user wrote."""
 
 
 class Label(Node):
-    """A second place that belongs to a diagnostic, and what is to be said of it."""
+    """Secondary span of a diagnostic, with a text about it."""
 
     span: Span
     text: str
 
 
 class Edit(Node):
-    """What stands at `span` is to be replaced by `text`; an empty span is a place to insert at."""
+    """Proposed edit: replace the text at `span` by `text`. An empty span is a position to insert at."""
 
     span: Span
     text: str
 
 
 class Diagnostic(Node):
-    """One finding. `message` stands alone, without the source line beside it; `help` says what to write instead.
-    All `edits` together repair or modernise; they do not overlap."""
+    """Diagnostic: an error, a warning or a note about a program.
+
+    `message` is readable without the source line; `help` says what to write instead. `edits`, applied together, repair
+    or modernise the program; they do not overlap.
+    """
 
     code: str
     severity: Severity
@@ -122,21 +125,29 @@ class Diagnostic(Node):
 
 
 def in_order(found: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """In the order of the text, each once (places take no part in the equality of nodes)."""
+    """Return diagnostics in the order of the text, each once.
+
+    Compares positions, which equality of nodes ignores.
+    """
     once = {(d.span.line, d.span.column, d.code, d.message): d for d in found}
     return [once[key] for key in sorted(once)]
 
 
 def together(unread: Iterable[Diagnostic], found: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """What the parser and the checker say of one text, in its order. In a line that could not be read all else is an
-    echo: it is left out."""
+    """Merge the diagnostics of the parser and the checker, in the order of the text.
+
+    In a line with a syntax error, diagnostics of the checker are consequences and are left out.
+    """
     unread = list(unread)
     lines = {d.span.line for d in unread}
     return in_order([*unread, *(d for d in found if d.span.line not in lines)])
 
 
 def render(diagnostic: Diagnostic, source: Source) -> str:
-    """The headline, the source line with carets, labels, and help: several lines without an end of line."""
+    """Return a diagnostic as text: headline, source line with carets, labels, help.
+
+    No line end after the last line.
+    """
     d = diagnostic
     lines = [f"{source.path}:{d.span.line}:{d.span.column}: {d.severity}[{d.code}]: {d.message}"]
     width = len(str(max([d.span.line, *(label.span.line for label in d.labels)])))
@@ -155,22 +166,25 @@ def _excerpt(span: Span, mark: str, text: str, source: Source, width: int) -> li
         return []
     end = span.end_column if span.end_line == span.line else len(shown) + 1
     marks = " " * (span.column - 1) + mark * max(1, min(end, len(shown) + 1) - span.column)
-    if len(shown) > 160:  # what a person can take in; the columns say the rest
+    if len(shown) > 160:  # show a part of a long line around the error
         cut = max(0, span.column - 60)
         shown, marks = shown[cut : cut + 160], marks[cut : cut + 160]
     return [f"{span.line:>{width}} | {shown}", f"{' ' * width} | {marks} {text}".rstrip()]
 
 
 def to_json(found: Iterable[tuple[Source, Diagnostic]]) -> str:
-    """`{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`; one that can be
-    repaired has `edits` as well: `[{line, column, end_line, end_column, text}]`."""
+    """Return diagnostics as JSON.
+
+    The form is `{"diagnostics": [{code, severity, message, file, line, column, end_line, end_column, help}]}`. One with
+    proposed edits also has `edits`: `[{line, column, end_line, end_column, text}]`.
+    """
     import json
 
     return json.dumps({"diagnostics": [as_data(source, d) for source, d in found]}, indent=2)
 
 
 def as_data(source: Source, diagnostic: Diagnostic) -> dict[str, object]:
-    """One diagnostic as JSON has it."""
+    """Return a diagnostic as data for JSON."""
     d = diagnostic
     data: dict[str, object] = {
         "code": d.code,

@@ -1,5 +1,4 @@
-"""Where the compiler's own files are: inside an installed wheel, or in a checkout beside the package. And keeping those
-of them fresh that are made from others."""
+"""Locations of the compiler's own files, in a wheel or a checkout, and updates of generated files."""
 
 from __future__ import annotations
 
@@ -16,38 +15,40 @@ def _data(folder: str) -> Path:
 
 
 def templates() -> Path:
-    """The Jinja templates as written."""
+    """Return the folder of the Jinja templates."""
     return _data("templates")
 
 
 def generated_templates() -> Path:
-    """The same, compiled to Python modules by `make generated`."""
+    """Return the folder of the templates that `make generated` compiled to Python modules."""
     return _PACKAGE / "build" / "emit" / "_generated" / "templates"
 
 
 def targets() -> Path:
-    """One folder a target: its manifest and the Python files copied into its bundles."""
+    """Return the folder with one folder for each target: its manifest, and Python files for its bundles."""
     return _data("targets")
 
 
 def examples() -> Path:
-    """One folder an example: programs, fleet files, and a page README.md."""
+    """Return the folder with one folder for each example: programs, fleet files, and a page README.md."""
     return _data("examples")
 
 
 def docs() -> Path:
-    """The documentation's pages; README.md, which is read first, is beside this folder."""
+    """Return the folder of the documentation. README.md, the first page to read, is beside this folder."""
     return _data("docs")
 
 
 def package() -> Path:
-    """The `koordgen` package, whose `runtime` is copied into bundles."""
+    """Return the folder of the `koordgen` package, whose `runtime` is copied into bundles."""
     return _PACKAGE
 
 
 def freshen(wanted: Mapping[Path, str | None], arguments: Sequence[str]) -> int:
-    """Write the generated files that differ from what is wanted, remove those of which None is. With the argument
-    --check only name them, and say by the status whether there are any."""
+    """Write the generated files that are out of date; a file whose wanted text is None is removed.
+
+    With the argument --check only print their names. Returns the exit status: 1 if --check found such files.
+    """
     stale = [path for path, text in wanted.items() if _text(path) != text]
     if list(arguments) == ["--check"]:
         for path in stale:

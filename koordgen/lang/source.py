@@ -1,4 +1,4 @@
-"""A program's text and places in it: what every diagnostic points at."""
+"""Source text of a program, and spans in it, which diagnostics refer to."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from koordgen.lang.node import Node
 
 
 class Span(Node):
-    """A half-open range of a source text, in 1-based lines and columns (columns count characters)."""
+    """Half-open range of a source text, in 1-based lines and columns. Columns count characters."""
 
     line: int
     column: int
@@ -17,7 +17,10 @@ class Span(Node):
 
 
 class Source:
-    """One text with its path as the user wrote it; `\\r\\n` is read as `\\n`, a byte order mark is no part of it."""
+    """Source text with its path as the user wrote it.
+
+    `\\r\\n` is replaced by `\\n`; a byte order mark is removed.
+    """
 
     def __init__(self, path: str, text: str) -> None:
         self.path = path
@@ -32,7 +35,7 @@ class Source:
         return self._starts
 
     def line(self, number: int) -> str:
-        """The text of a 1-based line without its end; empty beyond the last line."""
+        """Return the text of a 1-based line without its line end; empty beyond the last line."""
         starts = self._line_starts()
         if not 1 <= number <= len(starts):
             return ""
@@ -40,7 +43,7 @@ class Source:
         return self.text[starts[number - 1] : end]
 
     def span(self, start: int, end: int) -> Span:
-        """The span of the character offsets [start, end)."""
+        """Return the span of the character offsets [start, end)."""
         starts = self._line_starts()
         first = bisect_right(starts, start) - 1
         last = bisect_right(starts, end) - 1

@@ -339,7 +339,7 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
 
 
 def _listen(caller: socket.socket, stopping: Stopping, until: float) -> None:
-    """Until something brings us further or it is time to call again."""
+    """Receive answers until one makes progress or the next call is due."""
     while (left := until - time.monotonic()) > 0:
         caller.settimeout(left)
         if stopping.take(caller.recv(SHORT + 1), time.monotonic()):

@@ -20,7 +20,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from koordgen.fleet.deployment import Deployment, Login
+from koordgen.fleet.deployment import DeploymentSettings, Login
 from koordgen.fleet.file import Fleet
 from koordgen.lang.node import Node
 
@@ -103,7 +103,7 @@ def hosts_of(fleet: Fleet, robots: Sequence[str] | None = None) -> tuple[Host, .
     for robot in asked:
         if robot.login is not None:
             by_login.setdefault(robot.login, []).append(robot.name)
-    place: Deployment = fleet.deployment
+    place: DeploymentSettings = fleet.deployment
     return tuple(Host(login, tuple(names), place.folder, place.python) for login, names in by_login.items())
 
 

@@ -1,4 +1,4 @@
-"""One event of one robot by the executable semantics, and by the generated Python as an agent runs it."""
+"""One event of one robot, by the executable semantics and by the generated Python of an agent."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ Pass = Callable[[d.Program], d.Program]
 
 
 def outside(name: str, args: tuple[Any, ...], result: Type) -> Value:
-    """Return the result of an extern function: a value that depends on all of its arguments, which need not be finite;
-    now and then it fails."""
+    """Return the result of an extern function; it depends on all arguments, and now and then it fails.
+
+    The arguments need not be finite.
+    """
     rng = Random(f"{name} {args!r}")
     if rng.random() < 0.02:
         raise RuntimeError("no answer")
@@ -41,7 +43,7 @@ def outside(name: str, args: tuple[Any, ...], result: Type) -> Value:
 
 
 def answer(pid: int, port: str, args: tuple[Any, ...]) -> tuple[Point, ...]:
-    """What the planner says: on any day the same."""
+    """Return the planner's answer; equal arguments always have the same answer."""
     rng = Random(f"{pid} {port} {args!r}")
     if rng.random() < 0.02:
         raise RuntimeError("no way to tell")
@@ -49,7 +51,7 @@ def answer(pid: int, port: str, args: tuple[Any, ...]) -> tuple[Point, ...]:
 
 
 def key(value: Any, type_: Type) -> Any:
-    """What tells values apart, on whatever side: types, floats by all their bits."""
+    """Return a key that distinguishes values on both sides: by types, and floats by all their bits."""
     match type_:
         case RecordType(name, fields):
             parts = value.fields if isinstance(value, RecordValue) else msgspec.structs.astuple(value)
@@ -74,7 +76,7 @@ def key(value: Any, type_: Type) -> Any:
 
 
 class Generated:
-    """A program as generated Python, loaded, with its extern functions beside it."""
+    """A program as generated Python, loaded with its extern functions."""
 
     def __init__(self, program: d.Program, text: str) -> None:
         self.ir = program
@@ -101,7 +103,7 @@ class Generated:
         return called
 
     def python(self, value: Any, type_: Type, user: bool = False) -> Any:
-        """A value of the semantics as it is on robots, or as the user's functions have it."""
+        """Return a value of the semantics in the form of robots, or of the user's functions."""
         match type_:
             case RecordType(name, fields):
                 parts = zip(value.fields, fields, strict=True)
@@ -152,7 +154,7 @@ class Generated:
 
 
 class Meant:
-    """The same by the executable semantics."""
+    """A program in the executable semantics."""
 
     def __init__(self, program: d.Program) -> None:
         self.ir = program
@@ -192,7 +194,7 @@ class Meant:
 
 
 def _packed(value: Any, type_: Type) -> Any:
-    """A result as it comes back from the user's function: a Ticket that was never made has been, now."""
+    """Return a result as it comes back from the user's function: a Ticket that was never made is made now."""
     match type_:
         case ExternType():
             return value if value.data else Opaque(msgspec.msgpack.encode(Ticket()))
@@ -214,18 +216,20 @@ def untouched(program: d.Program) -> d.Program:
 
 
 class Difference(AssertionError):
-    """The two meanings of a program differ."""
+    """Raised if the two meanings of a program differ."""
 
 
 def nothing(generated: Generated) -> None:
-    """A generated program stays as it is."""
+    """Leave a generated program as it is."""
 
 
 def agree(
     seed: int, seen: Counter[str], emitted: Pass = untouched, spoil: Callable[[Generated], None] = nothing
 ) -> d.Program:
-    """One random program on a few random states: both meanings must be the same on every robot. `emitted` and
-    `spoil` seed faults."""
+    """Check that both meanings of a random program are equal on a few random states, on every robot.
+
+    `emitted` and `spoil` seed faults.
+    """
     program = random_program(seed)
     generated = Generated(program, program_text(emitted(program)))
     spoil(generated)
@@ -250,7 +254,7 @@ def _compare(found: Any, expected: Any, seed: int, pid: int, generated: Generate
 
 
 def _differences(path: str, found: Any, expected: Any) -> Iterator[str]:
-    """Line by line, what differs."""
+    """Return the differences, line by line."""
     if isinstance(found, dict) and isinstance(expected, dict):
         for name in sorted({*found, *expected}):
             yield from _differences(f"{path} {name}", found.get(name), expected.get(name))

@@ -1,4 +1,4 @@
-"""Random well-typed expressions over what a place may read. Most have a value: what is discarded shows little."""
+"""Random well-typed expressions over the values that a place may read. Most have a value, so that few events fail."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.agree.kinds import AT, SIZE, constant, random_type, real, whole
 
 
 class Expressions(General):
-    """The whole generator."""
+    """The complete generator."""
 
     # Type by type
 
@@ -108,13 +108,13 @@ class Expressions(General):
         ]  # fmt: skip
 
     def container(self) -> Type:
-        """A type of what has a length."""
+        """Return a type with a length."""
         found = [t for t in self.known() if isinstance(t, (Sequence, MapOf))]
         made = random_type(self.rng, 2)
         return self.rng.choice([*found, STRING, made if isinstance(made, (Sequence, MapOf)) else list_of(made)])
 
     def divisor(self, n: int) -> tuple[e.Expr, bool]:
-        """What an int is divided by, and whether it is known not to be zero."""
+        """Return a divisor of an int, and whether it is known not to be zero."""
         chance = self.rng.random()
         if self.wild(0.06):
             return self.expr(INT, n), False
@@ -147,7 +147,7 @@ class Expressions(General):
             return call("min", FLOAT, call("path_distance", FLOAT, *paths), real(99.0))
 
         def beyond(n: int) -> e.Expr | None:
-            """An infinity, by overflow, or what it comes to with another number: perhaps NaN."""
+            """Return an infinity, made by overflow, or its combination with another number, which may be NaN."""
             if not self.wild(0.3):
                 return None
             infinity = binary("*", real(1e308), real(10.0), FLOAT)
@@ -207,7 +207,7 @@ class Expressions(General):
             return e.Logic(self.rng.choice(("and", "or")), self.expr(BOOL, n), self.expr(BOOL, n), BOOL, AT)
 
         def guarded(n: int) -> e.Expr:
-            """What stands on the right has a value only where the left says so."""
+            """Return an expression whose right operand has a value only if the left one says so."""
             divisor = self.leaf(INT)
             safe = compare("!=", divisor, whole(0))
             quotient = e.Binary(self.rng.choice(("//", "%")), self.expr(INT, n), divisor, True, INT, AT)
@@ -247,7 +247,7 @@ class Expressions(General):
         return e.Slice(self.expr(type_, n), ends[0], ends[1], proved, type_, AT)
 
     def short(self, node: e.Expr) -> e.Expr:
-        """A part of what would double in a loop."""
+        """Return a part of a value that would double in each turn of a loop."""
         return e.Slice(node, None, whole(8), True, node.type, AT) if self.busy else node
 
     def of_point(self) -> list[Maker]:
@@ -334,7 +334,7 @@ class Expressions(General):
     # Updates, as the checker spells changes of parts
 
     def updated(self, read: e.Expr, n: int) -> e.Expr:
-        """A value with something in it changed, at some depth."""
+        """Return a value with a changed part, at some depth."""
         type_ = read.type
         match type_:
             case RecordType(_, fields):

@@ -1,4 +1,4 @@
-"""Bugs to seed into either meaning. Each must be found by comparing them on random programs."""
+"""Bugs to seed into either meaning. Comparing both meanings on random programs must find each of them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ Change = Callable[[Any], Any]
 
 
 class Fault(NamedTuple):
-    """`name` in words. `emitted` is a pass before the emitter, as if the emitter were wrong; `spoil` breaks the loaded
-    generated program, `patch` the executable semantics."""
+    """A seeded bug with its name.
+
+    `emitted`: a pass before the emitter, as if the emitter were wrong. `spoil`: breaks the loaded generated program.
+    `patch`: changes the executable semantics.
+    """
 
     name: str
     emitted: Pass = untouched
@@ -34,7 +37,7 @@ class Fault(NamedTuple):
 
 
 def rewritten(root: Any, change: Change) -> Any:
-    """A tree, or a tuple of trees, with every node changed, from the leaves up; a statement may change to a tuple."""
+    """Return a tree, or tuple of trees, with every node changed, from the leaves up; a statement may become a tuple."""
     if isinstance(root, tuple):
         found = [rewritten(part, change) for part in root]
         flat: list[Any] = []
@@ -47,7 +50,7 @@ def rewritten(root: Any, change: Change) -> Any:
 
 
 def rewriting(change: Change) -> Pass:
-    """A pass over functions and events."""
+    """Return a pass over functions and events."""
 
     def run(program: d.Program) -> d.Program:
         functions, events, init = (rewritten(t, change) for t in (program.functions, program.events, program.init))
@@ -80,12 +83,12 @@ def unordered_sets(node: Node) -> Node:
 
 
 def eager_logic(node: Node) -> Node:
-    """What stands on the right is evaluated always: first."""
+    """Evaluate the right operand first, and always."""
     return replace(node, left=node.right, right=node.left) if isinstance(node, e.Logic) else node
 
 
 def eager_conditionals(node: Node) -> Any:
-    """Both sides are evaluated."""
+    """Evaluate both alternatives."""
     if not isinstance(node, e.Conditional):
         return node
     pair = e.Make((node.then, node.orelse), TupleOf((node.type, node.type)), node.span)
@@ -115,14 +118,14 @@ def kept_parts(node: Node) -> Any:
 
 
 def shadowing(node: Node) -> Node:
-    """A block's own variable is another's."""
+    """Let a block's own variable be another variable."""
     if isinstance(node, (s.Let, e.TempRead, s.TempPlace)) and node.name[0] in "tl" and node.name[1:].isdigit():
         return replace(node, name=f"{node.name[0]}{int(node.name[1:]) // 2}")
     return node
 
 
 def library(name: str, wrong: Callable[..., Any]) -> Callable[[Generated], None]:
-    """A function of the runtime's, in the generated program, that does something else."""
+    """Replace a function of the runtime in the generated program."""
 
     def spoil(generated: Generated) -> None:
         if name in generated.scope:
@@ -136,7 +139,7 @@ def meaning(name: str, wrong: Callable[..., Any]) -> Callable[[pytest.MonkeyPatc
 
 
 def live_loops(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A loop sees what its block does to the list."""
+    """Let a loop see the changes that its block makes to the list."""
 
     def elements(node: e.Expr, view: View) -> Iterator[Value]:
         if isinstance(node, e.Range) or not isinstance(node.type, Sequence):
@@ -160,12 +163,12 @@ def truncation(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def boundless(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Capacities, infinities and long ints go unseen."""
+    """Do not check capacities, infinities and long ints."""
     monkeypatch.setattr(exec, "flaw", lambda value, type_: "")
 
 
 def any_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """NaN, infinity and ints beyond 64 bits are kept and sent."""
+    """Store and send NaN, infinity and ints of more than 64 bits."""
     monkeypatch.setattr(values, "number_flaw", lambda value: "")
 
 

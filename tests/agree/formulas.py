@@ -18,7 +18,7 @@ from tests.agree.programs import MODULE, N_SYS, random_program
 
 
 class Formulas(Expressions):
-    """Over the whole fleet, place "property"; or over one robot's ports at two moments, place "assume"."""
+    """Generator for formulas. Place "property": over the fleet. Place "assume": over one robot's ports."""
 
     count = 0
 
@@ -48,7 +48,7 @@ class Formulas(Expressions):
         return found
 
     def robot(self) -> e.Expr:
-        """Now and then of nobody."""
+        """Return a robot's index, now and then one that no robot has."""
         bound: list[e.Expr] = [e.TempRead(t.name, INT, AT) for t in self.temps if t.type == INT]
         others = [whole(self.rng.randrange(N_SYS)), whole(N_SYS if self.rng.random() < 0.05 else 0)]
         return self.rng.choice([*bound * 3, *others])
@@ -85,7 +85,7 @@ class Formulas(Expressions):
         return e.Quantified(kind, name, domain, body, BOOL, AT)
 
     def planned(self, n: int) -> e.Expr:
-        """An answer of the planner: for any goal, or for one."""
+        """Return a planner's answer: for any goal, or for one goal."""
         goal: e.Expr = e.TempRead(self.rng.choice(("goal", "other")), POINT, AT)
         return e.PortCall(MODULE, "planner", (goal if self.rng.random() < 0.7 else self.expr(POINT, n),), PATH, AT)
 
@@ -100,7 +100,7 @@ def _drawn(make: Callable[[], e.Expr]) -> e.Expr:
 
 
 def with_formulas(seed: int) -> d.Program:
-    """A random program with random properties and assumptions."""
+    """Return a random program with random properties and assumptions."""
     rng = Random(-seed)
     program = random_program(seed)
     formulas = [_drawn(lambda: Formulas(rng, program, "property").quantified(4)) for _ in range(6)]
@@ -116,7 +116,7 @@ def with_formulas(seed: int) -> d.Program:
 
 
 def _ends(rng: Random, program: d.Program) -> e.Expr:
-    """What is said of all ways that the planner may know."""
+    """Return a formula over all paths that the planner may return."""
     makers = Formulas(rng, program, "assume")
     way = e.PortCall(MODULE, "planner", (e.TempRead("goal", POINT, AT),), PATH, AT)
     first = e.Builtin("len", (way,), INT, AT)

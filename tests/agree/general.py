@@ -1,4 +1,4 @@
-"""What expressions of every type can be: reads, calls, parts of something bigger."""
+"""Random expressions that exist for every type: reads, calls, and parts of larger values."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def remainder_of(i: e.Expr, n: int) -> e.Expr:
 
 
 class General(ABC):
-    """A generator for one place of one program; expressions.py completes it."""
+    """Generator for one place of one program; expressions.py completes it."""
 
     def __init__(self, rng: Random, program: d.Program, place: str) -> None:
         self.rng = rng
@@ -76,7 +76,7 @@ class General(ABC):
         self.busy = place == "function"  # may run often: nothing must grow by squaring or doubling
 
     def expr(self, type_: Type, depth: int) -> e.Expr:
-        """An expression of a type, at most so deep, guards of faults aside."""
+        """Return an expression of a type with limited depth, not counting guards against faults."""
         if depth <= 0 or self.rng.random() < 0.15:
             return self.leaf(type_)
         makers = self.general(type_)
@@ -88,7 +88,7 @@ class General(ABC):
         return self.leaf(type_)
 
     def wild(self, share: float) -> bool:
-        """Whether to leave out what keeps a value from failing. First values must not fail."""
+        """Return whether to leave out the guards that keep a value from failing. Initial values must not fail."""
         return self.place != "literal" and self.rng.random() < share
 
     # Leaves
@@ -106,7 +106,7 @@ class General(ABC):
         return constant(random_value(self.rng, type_, wild=self.rng.random() < 0.1), type_)
 
     def reads(self, type_: Type) -> list[e.Expr]:
-        """All that can be read of a type, as it stands."""
+        """Return all reads of a type."""
         p, acting = self.program, self.place in ("effect", "init", "guard")
         found: list[e.Expr] = [e.TempRead(t.name, t.type, AT) for t in self.temps if t.type == type_]
         found *= 2
@@ -130,7 +130,7 @@ class General(ABC):
         return found
 
     def robot(self) -> e.Expr:
-        """The index of a robot, which is proved to be one."""
+        """Return the index of a robot, in a form that is proved to be one."""
         pid: e.Expr = e.Pid(INT, AT)
         if self.place == "init":
             return pid
@@ -155,7 +155,7 @@ class General(ABC):
         return found
 
     def known(self) -> list[Type]:
-        """Types of which something can be read here."""
+        """Return the types of which a value can be read here."""
         found = [t.type for t in self.temps]
         if self.place in ("effect", "guard", "init"):
             p = self.program
@@ -184,7 +184,7 @@ class General(ABC):
         return kind(f.name, tuple(args), f.result, AT)
 
     def argument(self, type_: Type, n: int) -> e.Expr | None:
-        """An argument; one value a robot can be given for a list, and must where that is what is wanted."""
+        """Return an argument. A value per robot is also a list, and is needed for some parameters."""
         wanted = type_.element if isinstance(type_, PerRobot) else None
         if isinstance(type_, Sequence) and type_.name == "List" and self.rng.random() < 0.3:
             whole_ = self.slots(type_.element)
@@ -193,7 +193,7 @@ class General(ABC):
         return self.expr(type_, n) if wanted is None else self.slots(wanted)
 
     def slots(self, element: Type) -> e.Expr | None:
-        """A whole allread variable, or a parameter that is one."""
+        """Return a whole allread variable, or a parameter with one value per robot."""
         found: list[e.Expr] = [e.TempRead(t.name, t.type, AT) for t in self.temps if t.type == PerRobot(element)]
         if self.place in ("effect", "guard"):
             shared = [v for v in self.program.shared if v.kind == "allread" and v.type == element]
@@ -201,7 +201,7 @@ class General(ABC):
         return self.rng.choice(found) if found else None
 
     def projected(self, source: Type, type_: Type, n: int) -> e.Expr | None:
-        """A part of something bigger."""
+        """Return a part of a larger value."""
         match source:
             case Sequence("List" | "Queue", element) if element == type_:
                 xs = self.leaf(source)
@@ -218,7 +218,7 @@ class General(ABC):
                 return self.field(source, type_, n)
 
     def element(self, xs: e.Expr, type_: Type, n: int) -> e.Expr:
-        """An element of what is not empty."""
+        """Return an element of a value that is not empty."""
         if self.rng.random() < 0.3:
             return call(self.rng.choice(("first", "last")), type_, xs)
         if self.wild(0.15):
@@ -252,4 +252,4 @@ class General(ABC):
 
     @abstractmethod
     def special(self, type_: Type) -> list[Maker]:
-        """What makes values of this type and of no other."""
+        """Return an expression that exists for this type only."""

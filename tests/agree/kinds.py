@@ -1,4 +1,4 @@
-"""Random types, values of them, and the constants that say the values."""
+"""Random types, their values, and constant expressions for the values."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ TEXTS = ("", "a", "b", "door", "naïve", 'x"y', "it's", "\\ \n\t", "abc", "ba")
 
 
 class Ticket(msgspec.Struct):
-    """The class of the extern type."""
+    """Class of the extern type."""
 
     number: int = 0
 
 
 def random_type(rng: Random, depth: int, records: tuple[RecordType, ...] = ()) -> Type:
-    """A type of things that variables can hold."""
+    """Return a type that variables can have."""
     if depth == 0 or rng.random() < 0.25:
         return rng.choice(BASE)
     inner = random_type(rng, depth - 1, records)
@@ -70,7 +70,7 @@ def random_type(rng: Random, depth: int, records: tuple[RecordType, ...] = ()) -
 
 
 def sized(type_: Type, rng: Random, tight: float = 0.06) -> Type:
-    """The type with capacities, this share of them tight."""
+    """Return the type with capacities; `tight` is the share of small ones."""
 
     def room(least: int) -> int:
         return least if rng.random() < tight else 64
@@ -89,7 +89,7 @@ def sized(type_: Type, rng: Random, tight: float = 0.06) -> Type:
 
 
 def random_value(rng: Random, type_: Type, wild: bool = True) -> Value:
-    """A value of a type, nearly always an ordinary one."""
+    """Return a value of a type, nearly always an ordinary one."""
     match type_:
         case Scalar() | Sized():
             return _plain(rng, type_, wild)
@@ -115,7 +115,7 @@ BEYOND = (math.nan, math.nan, math.inf, -math.inf)
 
 
 def not_finite(rng: Random, value: Value, share: float = 0.1) -> Value:
-    """A value of which this share of floats are NaN or infinite."""
+    """Return a value in which this share of floats are NaN or infinite."""
     match value:
         case float():
             return rng.choice(BEYOND) if rng.random() < share else value
@@ -183,8 +183,7 @@ def point(p: Point) -> e.Expr:
 
 
 def constant(value: Any, type_: Type) -> e.Expr:
-    """The expression that says a value: literals and what is made of them. Maps, scans and tickets have none but the
-    empty one."""
+    """Return the expression for a value, from literals. Maps, scans and tickets have only that of the empty value."""
     match type_:
         case Scalar("Point"):
             return point(value)
@@ -210,7 +209,7 @@ def constant(value: Any, type_: Type) -> e.Expr:
 
 
 def parts(type_: Type) -> list[Type]:
-    """The types that stand within a type, itself not."""
+    """Return the types within a type, without the type itself."""
     match type_:
         case Sequence(_, element):
             return [element]

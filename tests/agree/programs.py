@@ -1,4 +1,4 @@
-"""Random well-typed IR programs of the whole language, and random states for them. The same seed, the same program."""
+"""Random well-typed IR programs of the whole language, and random states. Equal seeds give equal programs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MODULE = "Motion"
 
 
 def random_program(seed: int) -> d.Program:
-    """A program of up to four events over declarations of its own."""
+    """Return a program of up to four events with its own declarations."""
     rng = Random(seed)
     records = _records(rng)
     types = [random_type(rng, 3, records) for _ in range(rng.randrange(3, 6))]
@@ -153,7 +153,7 @@ def _externs(rng: Random, types: list[Type], program: d.Program) -> tuple[d.Exte
 
 
 def _mostly(formulas: Expressions, rng: Random) -> e.Expr:
-    """A condition that holds more often than not."""
+    """Return a condition that is mostly true."""
     found = formulas.expr(BOOL, 2)
     often = compare("<", formulas.leaf(INT), whole(5))
     return found if rng.random() < 0.2 else e.Logic("or", found, often, BOOL, AT)
@@ -181,7 +181,7 @@ def _events(rng: Random, program: d.Program) -> tuple[d.Event, ...]:
 
 
 def _locked(program: d.Program, rng: Random) -> d.Program:
-    """The program with some of its events atomic: shared variables of one transaction are of one group."""
+    """Return the program with some events atomic: shared variables of one transaction are in one group."""
     used = {}
     for event in program.events:
         kinds = (e.SlotRead, e.SlotsRead, e.SharedRead, s.OwnSlot, s.SharedPlace)
@@ -198,7 +198,7 @@ def _locked(program: d.Program, rng: Random) -> d.Program:
 
 
 def random_state(rng: Random, program: d.Program) -> State:
-    """A state at a round's start with random values everywhere."""
+    """Return a state at the start of a round with random values."""
     start = step.initial(program, N_SYS)
     ports = [(f"{m.name}.{p.name}", p) for m in program.modules for p in m.ports]
     robots = tuple(

@@ -1,4 +1,4 @@
-"""Whole rounds of a random program: by agents over a network in memory, and by the executable semantics."""
+"""Whole rounds of a random program, by agents on a network in memory and by the executable semantics."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Winner = Callable[[list[int], int, int, int], int]  # those who try, lock, round
 
 
 class Body(FakePlatform):
-    """Shows other sensor values after each of its commands."""
+    """Body that shows other sensor values after each command."""
 
     def __init__(self, pid: int, generated: Generated, rng: Random) -> None:
         super().__init__(Point())
@@ -64,7 +64,7 @@ class Body(FakePlatform):
 
 
 def small(seed: int) -> d.Program | None:
-    """A random program whose shared variables fit in a datagram; None where they do not."""
+    """Return a random program whose shared variables fit into a datagram, or None."""
     program = random_program(seed)
     program = replace(program, shared=tuple([replace(v, type=_small(v.type)) for v in program.shared]))
     return None if check_budget(program, N_SYS) else program
@@ -87,7 +87,7 @@ def _small(type_: Type) -> Type:
 
 
 def agree(program: d.Program, seed: int, seen: Counter[str], wins: Winner = winner) -> None:
-    """What every robot sees and does in its rounds must be what the semantics says. `wins` seeds faults."""
+    """Check that rounds of every robot are those of the semantics. `wins` seeds faults."""
     both = _Both(program, seed)
     state = both.begin()
     if state is None:
@@ -117,7 +117,7 @@ class _Both:
         return [pid for pid, robot in enumerate(self.robots) if robot.agent.phase in ("resting", "rested")]
 
     def begin(self) -> State | None:
-        """The state before round 1; None when an init fails, on both sides."""
+        """Return the state before round 1; None if an init fails, which must happen on both sides."""
         uncommanded = dict.fromkeys(clearable(self.program), True)
         given = [{**self.meant(b.first), **uncommanded} for b in self.bodies]
         first = step.initial(self.program, N_SYS, given)
@@ -160,7 +160,7 @@ class _Both:
         return state
 
     def trying(self, state: State) -> dict[int, tuple[int, Writes | Discarded]]:
-        """The robots that run an atomic event in this round: its lock, and what it comes to."""
+        """Return the robots that run an atomic event in this round: its lock, and its effect."""
         found = {}
         for pid, robot in enumerate(state.robots):
             event = None if robot.stopped else step.select(self.program, state, pid, self.semantics.world)
@@ -190,7 +190,7 @@ class _Both:
 
 
 def _meant(value: Any, type_: Type) -> Any:
-    """A value of a robot as the semantics has it."""
+    """Return a robot's value in the form of the semantics."""
     match type_:
         case RecordType(name, fields):
             parts = zip(msgspec.structs.astuple(value), fields, strict=True)

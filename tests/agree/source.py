@@ -1,7 +1,7 @@
 """IR -> Koord text with the same meaning, so that parser and checker take part in the comparison.
 
-First values are left to the types' defaults, where they do not matter; values that no expression writes (an updated
-list within an expression, an empty map as an argument) are made by functions that the text declares for them.
+Initial values are left to the types' defaults if they do not matter. Values that no expression writes (an updated list
+within an expression, an empty map as an argument) come from functions that the text declares for them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ WIDENED = "(int x) -> float:\n  return x"
 
 
 class Unwritable(Exception):
-    """A value that no literal says, where only a literal may stand."""
+    """Raised for a value without a literal, at a place where only a literal is possible."""
 
 
 def source(program: d.Program) -> str:
-    """The program's text. Raises Unwritable."""
+    """Return the program's text. Raises Unwritable."""
     return _Source().program(program)
 
 
@@ -81,7 +81,7 @@ class _Source:
         return f"{f.name}({', '.join([_parameter(p.type, p.name) for p in f.parameters])}) -> {f.result}"
 
     def helper(self, text: str) -> str:
-        """The name of a function of this text: parameters, result and block."""
+        """Return the name of a function of this text with these parameters, result and block."""
         return self.helpers.setdefault(text, f"made{len(self.helpers)}")
 
     # Statements
@@ -249,7 +249,7 @@ class _Source:
 
 
 def _reads(node: e.Expr, place: s.Place) -> bool:
-    """Whether an expression is the value of a place."""
+    """Return whether an expression is the value of a place."""
     match node, place:
         case (e.LocalRead(name), s.LocalPlace(own)) | (e.TempRead(name), s.TempPlace(own)):
             return name == own
@@ -287,7 +287,7 @@ def _parameter(type_: Type, name: str) -> str:
 
 
 def _plain(type_: Type) -> str:
-    """Some value of a type: the state has another."""
+    """Return some value of a type; the initial state replaces it."""
     match type_:
         case Sequence("Set") | MapOf():
             return "{}"

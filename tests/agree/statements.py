@@ -29,7 +29,7 @@ KINDS = ("assign",) * 3 + ("update",) * 3 + ("let", "let", "if", "for", "for", "
 
 
 class Statements(Expressions):
-    """Statements of one place; temps have names that are unique there."""
+    """Generator for statements of one place; names of temps are unique there."""
 
     def __init__(self, rng: Random, program: d.Program, place: str, prefix: str) -> None:
         super().__init__(rng, program, place)
@@ -43,7 +43,7 @@ class Statements(Expressions):
         return Temp(f"{self.prefix}{self.minted}", type_, writable)
 
     def block(self, depth: int, count: int) -> s.Block:
-        """So many statements or some more; their temps end with it."""
+        """Return at least so many statements; their temps end with the block."""
         kept = list(self.temps)
         found: list[s.Stmt] = []
         for _ in range(count):
@@ -57,7 +57,7 @@ class Statements(Expressions):
         return tuple(found)
 
     def places(self) -> list[tuple[s.Place, Type, e.Expr]]:
-        """All that can be written here, with what reads it."""
+        """Return all places that can be written here, with the expression that reads each."""
         found: list[tuple[s.Place, Type, e.Expr]] = [
             (s.TempPlace(t.name), t.type, e.TempRead(t.name, t.type, AT)) for t in self.temps if t.writable
         ]
@@ -85,7 +85,7 @@ class Statements(Expressions):
         return [s.Assign(place, self.expr(type_, 3), AT)]
 
     def updates(self, depth: int) -> list[s.Stmt]:
-        """`xs.append(v)`, `r.f[i] = v` and such, as the checker spells them."""
+        """Return `xs.append(v)`, `r.f[i] = v` and the like, in the form that the checker yields."""
         places = [found for found in self.places() if isinstance(found[1], (Sequence, MapOf, TupleOf, RecordType))]
         if not places:
             return self.assigns(depth)
@@ -136,7 +136,7 @@ class Statements(Expressions):
         return [s.For(tuple([t.name for t in taken]), types, values, block, AT, invariants)]
 
     def invariants(self, counter: Temp, ends: e.Expr | None) -> tuple[s.LoopInvariant, ...]:
-        """Of a loop: conditions true and false, some without a value, each on a line of its own."""
+        """Return invariants of a loop: true and false conditions, some without a value, each with its own line."""
         busy, place = self.busy, self.place
         self.busy, self.place = True, "guard" if place == "effect" else place  # where no port is called
         found = []
@@ -159,7 +159,7 @@ class Statements(Expressions):
         return e.Quantified(self.rng.choice(("forall", "exists")), temp.name, domain, body, BOOL, AT)
 
     def meddling(self, values: e.Expr) -> list[s.Stmt]:
-        """Changes to what a loop runs over, which the loop must not see."""
+        """Return changes to the value that a loop iterates over, which the loop must not see."""
         places = [place for place, _, read in self.places() if read == values]
         if not places or self.rng.random() < 0.5:
             return []
@@ -169,7 +169,7 @@ class Statements(Expressions):
         return found
 
     def domain(self) -> tuple[e.Expr, Type]:
-        """What a loop runs over: not very long."""
+        """Return the value that a loop iterates over: it is short."""
         choice = self.rng.randrange(7)
         if choice < 2:
             start, stop = (e.Binary("%", self.expr(INT, 1), whole(5), True, INT, AT) for _ in "ab")
@@ -188,7 +188,7 @@ class Statements(Expressions):
         return self.expr(type_, self.rng.randrange(3)), type_.key if isinstance(type_, MapOf) else type_.element
 
     def whiles(self, depth: int) -> list[s.Stmt]:
-        """A counter that goes up first of all, so that every way through it ends."""
+        """Return a loop with a counter that is increased first, so that every path through the loop ends."""
         counter = self.mint(INT, writable=False)
         read = e.TempRead(counter.name, INT, AT)
         kept = list(self.temps)
@@ -209,7 +209,7 @@ class Statements(Expressions):
         return [s.Emit("Log", "stdout", tuple(items), AT)]
 
     def pops(self, depth: int) -> list[s.Stmt]:
-        """`T x = xs.pop()`: read, then remove; under a test that there is something."""
+        """Return `T x = xs.pop()`: a read and a removal, under a test that the list is not empty."""
         found = [(p, t, r) for p, t, r in self.places() if isinstance(t, Sequence) and t.name in ("List", "Queue")]
         if not found:
             return self.assigns(depth)
@@ -225,7 +225,7 @@ class Statements(Expressions):
         return [s.If(compare("<", whole(0), length(xs)), both, (), AT)]
 
     def leaves(self, depth: int) -> list[s.Stmt]:
-        """Out of a loop, a function, an event: now and then."""
+        """Return, now and then, a statement that leaves a loop, a function or an event."""
         out: s.Stmt
         if self.loops and self.rng.random() < 0.8:
             out = self.rng.choice((s.Break(AT), s.Continue(AT)))

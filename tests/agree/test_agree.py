@@ -1,4 +1,4 @@
-"""One meaning: random programs agree, bit for bit, in the executable semantics and as generated Python on the runtime.
+"""Agreement of both meanings: random programs give equal bits in the executable semantics and as generated Python.
 
 A difference names its program: `random_program(seed)`.
 """
@@ -29,7 +29,7 @@ BUILTINS = {*FUNCTIONS, *UPDATE_SIGNATURES, *(name for _, name in METHODS)}
 
 
 def run(seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
-    """How often an event ran, and in how many of the programs each construct stands."""
+    """Return how often an event ran, and the number of programs that contain each construct."""
     seen: Counter[str] = Counter()
     contained: Counter[str] = Counter()
     for seed in seeds:
@@ -42,7 +42,7 @@ def run(seeds: Iterable[int]) -> tuple[Counter[str], Counter[str]]:
 
 
 def rounds(seen: Counter[str]) -> int:
-    """How many rounds of one robot were compared."""
+    """Return the number of rounds of one robot that were compared."""
     return seen["ran"] + seen["discarded"] + seen["none"]
 
 
@@ -73,7 +73,7 @@ def test_semantics_and_generated_code_agree_on_2000_programs_of_every_construct(
 
 
 def programs_until_found(fault: Fault, most: int, monkeypatch: pytest.MonkeyPatch) -> int | None:
-    """How many programs it takes to see a seeded fault; None when so many do not show it."""
+    """Return the number of programs until a seeded fault is seen; None if it is not seen in so many programs."""
     fault.patch(monkeypatch)
     for seed in range(most):
         try:

@@ -1,5 +1,7 @@
-"""The limits of one event are the same in the semantics and in generated code. With low limits random programs, which
-are small, meet them often."""
+"""Limits of one event are equal in the semantics and in generated code.
+
+With low limits random programs, which are small, reach them often.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,7 @@ def test_the_limits_of_the_semantics_are_those_of_robots() -> None:
 
 
 def compare(seed: int, seen: Counter[str]) -> None:
-    """One random program both ways, if its initial values are within the limits."""
+    """Run one random program both ways, if its initial values are within the limits."""
     with suppress(Discarded, turns.TooMuch):
         agree(seed, seen)
 
@@ -81,7 +83,7 @@ def test_a_limit_that_is_off_by_one_is_found(name: str, value: int, low: None, m
 
 
 def both(effect: str, declared: str = "", functions: str = "") -> object:
-    """Return the result of one event, which is the same on both sides: its locals, or "discarded"."""
+    """Return the result of one event, which is equal on both sides: its locals, or "discarded"."""
     lines = "\n".join(["    " + line for line in effect.split("\n")])
     program = compiled(f"{functions}local:\n  int k = 3\n{declared}\nE:\n  pre: True\n  eff:\n{lines}\n")
     state = initial(program, N_SYS)

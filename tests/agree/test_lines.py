@@ -1,7 +1,7 @@
-"""The line that a discarded event's fault names: the statement's on which it failed, by both meanings.
+"""Agreement in the line that a discarded event's fault names: the line of the statement that failed.
 
-Where they differ, the robot's is what the user is told: a contract without a value is a fault of the call on robots,
-of the contract in the semantics; and a statement of several lines is told by its first on robots.
+Both differ in two cases. A contract without a value is a fault of the call on robots, but of the contract in the
+semantics. A statement of several lines is named by its first line on robots.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tests.agree.programs import N_SYS, random_program, random_state
 
 
 class Numbering:
-    """Gives each statement, guard and declaration of an IR a line of its own; expressions are on their statement's."""
+    """Gives each statement, guard and declaration of an IR its own line; expressions have that of their statement."""
 
     def __init__(self) -> None:
         self.lines = 0
@@ -50,7 +50,7 @@ class Numbering:
 
 
 def told(generated: Generated, state: State, pid: int) -> int | None:
-    """The line of the fault on a robot, None when there is none."""
+    """Return the line of the fault on a robot; None without a fault."""
     transaction = generated.program.begin(generated.frame(state, pid))
     chosen = rt.choose(generated.program, transaction)
     if isinstance(chosen, rt.Event):
@@ -69,7 +69,7 @@ def meant(semantics: Meant, state: State, pid: int) -> int | None:
 
 
 def compare(seeds: Iterable[int]) -> tuple[int, int]:
-    """How many events were discarded, and how many of them for a contract without a value."""
+    """Return the number of discarded events, and of those with a contract without a value."""
     faults = contracts = 0
     for seed in seeds:
         program = random_program(seed)

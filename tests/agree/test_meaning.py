@@ -1,4 +1,4 @@
-"""A module of a user's own says what its ports mean, and every back end goes by it."""
+"""Meaning of ports in a module of the user's own: all back ends follow it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One meaning of properties: in the executable semantics and as `properties.py` has them, with or without a value."""
+"""Agreement of both meanings of properties, in the semantics and as `properties.py`, with or without a value."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.agree.programs import N_SYS, random_state
 
 
 def properties(program: d.Program, generated: Generated) -> Properties:
-    """The generated module, beside the generated program."""
+    """Return the generated module, loaded with the generated program."""
     sys.modules["program"] = sys.modules["generated"]
     module = sys.modules["properties"] = ModuleType("properties")
     text = properties_text(program)
@@ -44,7 +44,7 @@ def meant(ask: Any) -> Outcome:
 
 
 def values(program: d.Program, generated: Generated, state: State) -> dict[str, Any]:
-    """A state as whoever evaluates puts it in."""
+    """Return a state in the form that evaluations use."""
     types = declared(program)
     found: dict[str, Any] = {}
     for group in ("locals", "ports"):

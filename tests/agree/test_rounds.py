@@ -1,5 +1,7 @@
-"""Whole rounds: what agents do over a network without loss is the semantics' round, also who of several that try to
-change what one lock protects gives way."""
+"""Agreement in whole rounds: agents on a network without loss do what the semantics of a round says.
+
+This includes which of several robots loses the contention for a lock.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from tests.agree.rounds import ROUNDS, Winner, agree, small
 
 
 def run(seeds: Iterable[int]) -> tuple[int, Counter[str]]:
-    """How many programs there were, and what became of their robots' rounds."""
+    """Return the number of programs, and the counts of results of their robots' rounds."""
     seen: Counter[str] = Counter()
     programs = [(seed, program) for seed in seeds if (program := small(seed)) is not None]
     for seed, program in programs:

@@ -1,4 +1,4 @@
-"""Random programs as Koord text, read and checked again, mean the same; what the checker proves of them holds."""
+"""Random programs as Koord text: parsed and checked again they mean the same, and what the checker proves holds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CERTAIN = {"K012", "K030", "K032", "K036", "K057"}
 
 
 def checked_again(program: d.Program, seen: Counter[str]) -> d.Program | None:
-    """The program that its text is read as; None where it has no text or is refused for a certain fault."""
+    """Return the program parsed from its text; None if it has no text, or is refused for a fault that always occurs."""
     try:
         text = source(program)
     except Unwritable:
@@ -41,7 +41,7 @@ def checked_again(program: d.Program, seen: Counter[str]) -> d.Program | None:
 
 
 def parts(found: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A lock is known by another number, a loop invariant by another line."""
+    """Return the parts of a program to compare; numbers of locks and lines of loop invariants may differ."""
     event, lock, outcome = found
     if isinstance(outcome, dict):
         outcome = {**outcome, "violated": len(outcome["violated"])}

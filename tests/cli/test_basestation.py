@@ -1,4 +1,4 @@
-"""The base station: whose pose goes where, how often, and what is told. The last tests open sockets on loopback."""
+"""Base station: receivers and rates of poses, and its messages. The last tests open sockets on loopback."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import pytest
 
 from koordgen.build.pipeline import read_fleet
 from koordgen.cli import main
-from koordgen.cli.base.terminal import Line
+from koordgen.cli.base.terminal import ProgressLine
 from koordgen.fleet.mocap import Mocap
 from koordgen.operate import basestation
 from koordgen.operate.basestation import (
@@ -136,7 +136,7 @@ def test_the_package_can_be_imported_and_its_mistakes_are_told() -> None:
 
 
 class FakeSystem:
-    """As `motioncapture.MotionCapture`: a body circles, a frame each 5 ms."""
+    """Stand-in for `motioncapture.MotionCapture`: a body circles, with a frame each 5 ms."""
 
     def __init__(self, fails: bool = False) -> None:
         self._count = 0
@@ -229,7 +229,7 @@ def test_without_a_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_mistakes_of_the_fleet_file_have_a_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, FLEET + "mocap: {up: x}\n")
     assert main(["basestation", str(path), "--system", "vicon", "--host", "h"]) == 1
-    assert "fleet.yaml:10:13: error[F005]: mocap.up is 'x'" in capsys.readouterr().err
+    assert "fleet.yaml:10:13: error[F005]: mocap.up cannot be 'x'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("rate", ["0", "-1", "nan", "fast"])
@@ -256,7 +256,7 @@ def test_an_interrupt_while_the_line_is_shown_leaves_it_a_line_of_its_own() -> N
             raise KeyboardInterrupt
 
     stream = Interrupted()
-    line = Line(stream)
+    line = ProgressLine(stream)
     with pytest.raises(KeyboardInterrupt):
         line.show("alice 50/s")
     line.end()
@@ -265,8 +265,10 @@ def test_an_interrupt_while_the_line_is_shown_leaves_it_a_line_of_its_own() -> N
 
 @pytest.mark.parametrize("system", ["mock", "vrpn"])
 def test_it_ends_in_order_when_interrupted(system: str, tmp_path: Path) -> None:
-    """With the real package; vrpn waits within its library for what never comes. It serves when its line stands on the
-    terminal: who interrupts a Python that still loads gets Python's own words."""
+    """Uses the real package, whose vrpn waits in its library for a frame that never comes.
+
+    The interrupt comes after the progress line is shown: Python that is still loading would print its own message.
+    """
     pytest.importorskip("motioncapture")
     options = [str(written(tmp_path)), "--system", system, "--host", "127.0.0.1"]
     command = [sys.executable, "-m", "koordgen", "basestation", *options]

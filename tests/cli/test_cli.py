@@ -1,4 +1,4 @@
-"""The command line on real files: exit statuses, messages with a place and a way out, and nothing half-written."""
+"""Command line on real files: exit statuses, messages with a place and a help text, no half-written files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def koordgen(*arguments: object, **env: str) -> subprocess.CompletedProcess[str]
 
 @pytest.fixture
 def printed(tmp_path: Path) -> Path:
-    """LineForm as printed: its guard lacks the `not`."""
+    """LineForm as published: its guard lacks the `not`."""
     path = tmp_path / "lineform.koord"
     path.write_text(LINEFORM.read_text().replace("pre: not (pid", "pre: (pid"))
     return path
@@ -81,7 +81,7 @@ def test_explain_lists_all_codes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain"]) == 0
     *codes, words = capsys.readouterr().out.splitlines()
     assert codes == [f"{code}  {title}" for code, title in CATALOGUE.items()]
-    assert words.startswith("words: PROVED, NOT INDUCTIVE, ") and words.endswith(", skip")
+    assert words.startswith("other topics: PROVED, NOT INDUCTIVE, ") and words.endswith(", skip")
 
 
 @pytest.mark.parametrize("words", ["NOT INDUCTIVE", "not inductive", "VACUOUS", "skip", "not current", "SKIP"])
@@ -379,7 +379,7 @@ def test_an_error_of_the_compiler_is_not_the_users(
 ) -> None:
     monkeypatch.setattr("koordgen.build.pipeline.check", lambda *_: 1 / 0)
     assert main(["check", str(LINEFORM)]) == 70
-    assert "mistake of koordgen" in capsys.readouterr().err
+    assert "bug of koordgen" in capsys.readouterr().err
 
 
 def test_outputs_of_others_survive(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`koordgen docs` and `koordgen examples`: what a reader has who has only the wheel."""
+"""`koordgen docs` and `koordgen examples` for a user who has only the wheel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`koordgen doctor`: folders that are no robot's, and a built bundle against a simulated autopilot over UDP."""
+"""`koordgen doctor`: folders that are not bundles, and a built bundle against a simulated autopilot over UDP."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def bundle(tmp_path: Path) -> Path:
 
 
 class Autopilot:
-    """A simulated one in real time, on a thread of its own."""
+    """Simulated autopilot in real time, in its own thread."""
 
     def __init__(self) -> None:
         self._body = PointMass((1.0, -2.0, 0.0))

@@ -1,4 +1,4 @@
-"""`koordgen estop` and `--status` on real agents: soon, through a bad network too; what is said when nobody answers."""
+"""`koordgen estop` and `--status` on real agents: fast, even through a bad network; messages without an answer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Network:
-    """Stands between caller and agents: a port for each agent, and datagrams are lost both ways."""
+    """Network between caller and agents: a port for each agent; datagrams are lost in both directions."""
 
     def __init__(self, controls: list[int], loss: float, seed: int) -> None:
         self._loss, self._random = loss, random.Random(seed)
@@ -73,7 +73,7 @@ class Network:
 
 @pytest.fixture
 def fleet(bundles: list[Path]) -> Path:
-    """A fleet file of the three bundles, with their key beside it."""
+    """Return a fleet file of the three bundles, with their key beside it."""
     controls = controls_of(bundles)
     key = bundles[0].parent / "fleet.key"
     key.write_bytes(bytes(range(32)))
@@ -141,7 +141,7 @@ def test_what_people_read(
     bundles: list[Path], fleet: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Two answer, one is not there."""
+    """Two robots answer, one does not."""
     monkeypatch.setattr(estop, "PATIENCE", 0.6)
     for folder in bundles[:2]:
         start(folder, started)
@@ -206,7 +206,7 @@ def test_when_nobody_can_be_called(
         path.write_text(text)
     assert main(["estop", str(path)]) == 1
     told = capsys.readouterr().err
-    assert words in told and "nobody was called; stop them by hand" in told
+    assert words in told and "no robot was called; stop them by hand" in told
 
 
 def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> None:
@@ -260,7 +260,7 @@ def test_whatever_the_state_of_the_fleet_file(
     bundles: list[Path], fleet: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch, source: str,
 ) -> None:  # fmt: skip
-    """All robots are stopped, and what was wrong is said."""
+    """All robots are stopped, and errors in the file are reported."""
     for folder in bundles:
         start(folder, started)
     wait_for(bundles, "joining")

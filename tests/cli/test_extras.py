@@ -23,7 +23,7 @@ def name_of(requirement: str) -> str:
 
 
 def modules_of_extras() -> list[str]:
-    """The modules that only an extra installs."""
+    """Return the modules that only an extra installs."""
     always = {name_of(line) for line in PROJECT["dependencies"]}
     extras = {name_of(line) for lines in PROJECT["optional-dependencies"].values() for line in lines} - {"koordgen"}
     return [
@@ -34,7 +34,7 @@ def modules_of_extras() -> list[str]:
 
 
 def koordgen(command: str, out: Path) -> subprocess.CompletedProcess[str]:
-    """Run it with the extras' modules as good as absent."""
+    """Run a command in which the modules of extras cannot be imported."""
     code = f"import sys; sys.modules.update(dict.fromkeys({modules_of_extras()!r})); from koordgen.cli import main; "
     code += "raise SystemExit(main(sys.argv[1:]))"
     words = command.replace("OUT", str(out)).split()

@@ -1,4 +1,4 @@
-"""`koordgen sim` and the process it starts: signals reach the run once, and a run that was killed is told."""
+"""`koordgen sim` and its child process: a signal reaches the run once, and a killed run is reported."""
 
 from __future__ import annotations
 

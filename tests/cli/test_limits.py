@@ -1,4 +1,4 @@
-"""Commands end by themselves, whatever the program turns, squares, doubles or calls."""
+"""Commands end by themselves, whatever loops, powers or recursive calls the program has."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ BAD = {
 
 
 def ran(folder: Path, text: str, command: str, *options: str) -> subprocess.CompletedProcess[str]:
-    """A command on a program, which ends by itself."""
+    """Run a command on a program; it must end by itself."""
     path = folder / "app.koord"
     path.write_text(text)
     return subprocess.run(

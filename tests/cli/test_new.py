@@ -1,4 +1,4 @@
-"""`koordgen new NAME`: the folder that it writes checks, proves, builds and simulates as it is."""
+"""`koordgen new NAME`: its folder can be checked, proved, built and simulated without changes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def files(folder: Path) -> dict[str, str]:
 def test_it_writes_a_program_and_a_fleet_file(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["new", "hello"]) == 0
     assert set(files(here)) == {"hello/hello.koord", "hello/fleet.yaml"}
-    assert check_file("hello/hello.koord").noticed == ()
+    assert check_file("hello/hello.koord").diagnostics == ()
     result = format_file("hello/hello.koord", None, write=False)
     assert result.after == result.before
     out = capsys.readouterr().out
@@ -35,7 +35,7 @@ def test_it_writes_a_program_and_a_fleet_file(here: Path, capsys: pytest.Capture
 
 
 def named(capsys: pytest.CaptureFixture[str]) -> dict[str, list[str]]:
-    """The arguments of each command that `new` names, by the command."""
+    """Return the arguments of each command that `new` prints, by the command."""
     commands = re.findall(r"^  koordgen (.+?)(?:  +#.*)?$", capsys.readouterr().out, re.MULTILINE)
     return {command.split()[0]: command.split() for command in commands}
 
@@ -54,7 +54,7 @@ def test_it_is_checked_proved_and_built_as_it_is(here: Path, capsys: pytest.Capt
 
 @pytest.mark.slow
 def test_it_is_simulated_as_it_is(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every robot has its turn, and all stop."""
+    """Every robot gets its turn, and all robots stop."""
     cli.main(["new", "hello"])
     command = [sys.executable, "-m", "koordgen", *named(capsys)["sim"]]
     done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)

@@ -1,4 +1,4 @@
-"""Output that is read by programs: pipes that close, no progress, one document with the verdict, colours on demand."""
+"""Output for programs: closed pipes, no progress, one document with the verdict, colours on demand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIM = ["sim", str(LINEFORM), "--fleet", "fleet.yaml", "--lockstep", "--duration"
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The working directory, with a fleet that is simulated fast."""
+    """The working directory, with a fleet that is fast to simulate."""
     (tmp_path / "fleet.yaml").write_text(ALONE.format(target="car") + "sim: {fidelity: simple}\n")
     monkeypatch.chdir(tmp_path)
 
@@ -72,7 +72,7 @@ def test_a_run_without_a_fleet_file_is_one_robots(tmp_path: Path, capfd: pytest.
 
 
 def on_a_terminal(*arguments: str, **env: str) -> bytes:
-    """What a command writes to a terminal that is its standard output and error."""
+    """Return the output of a command whose standard output and error are a terminal."""
     ours, device = pty.openpty()
     command = [sys.executable, "-m", "koordgen", *arguments]
     done = subprocess.Popen(command, stdout=device, stderr=device, cwd=ROOT, env={**os.environ, "TERM": "xterm", **env})

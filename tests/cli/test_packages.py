@@ -1,4 +1,4 @@
-"""The check for packages before a simulation: only those count that this Python can have, and one engine is enough."""
+"""Package check before a simulation: only packages for this Python count, and one physics engine is enough."""
 
 from __future__ import annotations
 

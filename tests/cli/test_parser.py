@@ -1,4 +1,4 @@
-"""Usage errors lead on, options are never abbreviated, and `koordgen help` explains every command and option."""
+"""Usage errors propose what to do, options cannot be abbreviated, and help explains each command and option."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EVERYTHING = {**COMMANDS, **harnesses()}
 
 
 def left(arguments: Sequence[str]) -> int:
-    """The exit status of a command that may leave by SystemExit, as argparse does."""
+    """Return the exit status of a command that may raise SystemExit, as argparse does."""
     try:
         return main(arguments)
     except SystemExit as ended:
@@ -39,7 +39,7 @@ def test_robots_may_stand_before_and_behind_options() -> None:
         ("chek app.koord", "koordgen COMMAND", "did you mean check?"),
         ("simm app.koord", "koordgen COMMAND", "did you mean sim?"),
         ("", "koordgen COMMAND", "`koordgen help` lists the commands"),
-        ("--fleet f.yaml build", "koordgen COMMAND", "--fleet stands before the command"),
+        ("--fleet f.yaml build", "koordgen COMMAND", "the option --fleet comes before the command"),
         ("sim app.koord --duraton 10", "koordgen sim APP.koord", "did you mean --duration?"),
         ("sim app.koord --duraton=10", "koordgen sim APP.koord", "no option --duraton"),
         ("sim --flet fleet.yaml app.koord", "koordgen sim APP.koord", "did you mean --fleet?"),

@@ -1,4 +1,4 @@
-"""The README's commands are commands of this koordgen, and a newcomer's first ones succeed from an empty folder."""
+"""README: its commands exist, and a newcomer's first commands succeed in an empty folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATUS = {"validate": 3}  # of commands that find something, as the README says
 
 
 def commands(page: str) -> list[str]:
-    """The lines of its listings that call koordgen or Python, without those that leave something out."""
+    """Return the lines of its code blocks that call koordgen or Python, without lines that contain `...`."""
     listings = re.findall(r"^```\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     lines = [line for listing in listings for line in listing.splitlines()]
     return [line for line in lines if line.startswith(("koordgen ", "python3 ")) and "..." not in line]
@@ -71,7 +71,7 @@ def test_what_is_read_first_is_what_happens(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_first_hour(tmp_path: Path) -> None:
-    """Every command of the section that names files which are there, one after the other."""
+    """Runs in turn every command of the section that names existing files."""
     until = README.partition("## The first hour")[2].partition("\n## ")[0]
     followed = [line for line in commands(until) if not re.search(r"\b(APP|FILE|NAME)\b", line.partition(" #")[0])]
     assert len(followed) > 15

@@ -1,4 +1,4 @@
-"""SARIF: the structure that version 2.1.0 requires, places that are right, files named as code hosts need them."""
+"""SARIF: structure of version 2.1.0, right places, and file names in the form that code hosts need."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FOLDER = Path("/work")
 
 
 def validate(log: Any) -> None:
-    """What the standard requires of the properties that we write (its section 3), and that there are no others."""
+    """Check the properties that we write against the standard (its section 3), and that there are no others."""
     assert set(log) == {"$schema", "version", "runs"}
     assert log["version"] == "2.1.0"
     assert urlsplit(log["$schema"]).scheme == "https"

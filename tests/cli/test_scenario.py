@@ -1,4 +1,4 @@
-"""`--scenario FILE`: what is wrong with it is told at its line and column, before anything runs."""
+"""`--scenario FILE`: errors are reported at line and column, before anything runs."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ def test_a_right_one_is_plain_values() -> None:
         ),
         ("events: {}", "F004", 1, 9, "events must be a list"),
         ("links: [{from: ann}]", "F003", 1, 9, "link 0 lacks 'to'"),
-        ("network: {loss: 0.1, loss: 0.2}", "F006", 1, 22, "'loss' stands twice"),
+        ("network: {loss: 0.1, loss: 0.2}", "F006", 1, 22, "'loss' appears twice"),
         ("events: [{at: 2020-01-01, crash: ann}]", "F004", 1, 15, "a number, a bool, a text"),
         ("- 1", "F004", 1, 1, "the scenario must be a mapping"),
         ("events: ]", "F001", 1, 9, "a value is expected here"),
         ("", "F001", 1, 1, "empty"),
-        ("events: &e [*e]", "F001", 1, 13, "*e stands within its own value"),
+        ("events: &e [*e]", "F001", 1, 13, "*e is a part of its own value"),
         ("events: [*e]", "F001", 1, 10, "undefined alias"),
         ("events: " + "[" * 3000 + "]" * 3000, "F001", 1, 108, "more than 100 deep"),
     ],
@@ -88,7 +88,7 @@ def test_the_command_refuses_a_wrong_one(tmp_path: Path, capsys: pytest.CaptureF
     error = capsys.readouterr().err
     assert f"{file}:2:20: error[F005]: no robot 'alica' in this fleet" in error and "did you mean 'alice'?" in error
     assert command("--scenario", str(tmp_path / "none.yaml")) == 1
-    assert "error[F100]: cannot be read: No such file" in capsys.readouterr().err
+    assert "error[F100]: the file cannot be read: No such file" in capsys.readouterr().err
 
 
 def test_the_bundle_gets_it_as_json_and_the_flags_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

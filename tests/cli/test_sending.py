@@ -1,4 +1,4 @@
-"""What the build says of a fleet that could not send what its program writes, and of the fleet's policies."""
+"""Build errors for fleets that could not send the program's writes, and policies of the fleet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PATHS = "allread: List<Point> path[N_SYS] max {}\nGo:\n  pre: True\n  eff: path[
 
 
 def built(folder: Path, program: str, fleet: str) -> int:
-    """`build` of a program for the fleet of five quads and cars, with more said of it."""
+    """Run `build` on a program for a fleet of five quads and cars, with additional lines in the fleet file."""
     (folder / "a.koord").write_text(program)
     (folder / "fleet.yaml").write_text(FLEET.read_text() + fleet)
     build = ["build", str(folder / "a.koord"), "--target", "quad,car", "--fleet", str(folder / "fleet.yaml")]
@@ -40,8 +40,8 @@ def test_a_round_that_the_link_does_not_carry(
     link = "link: {rate: 3e6, loss: 0.2}\n" + network
     assert built(tmp_path, PATHS.format(1000), link) == 1
     told = capsys.readouterr().err
-    assert f"{tmp_path}/a.koord:1:22: error[B008]: a round may put " in told
-    assert f" bytes on the link: 5 robots{receivers} x (" in told
+    assert f"{tmp_path}/a.koord:1:22: error[B008]: a round may send " in told
+    assert f" bytes: 5 robots{receivers} x (" in told
     assert "B009" not in told and not (tmp_path / "out").exists()
     (most,) = map(int, re.findall(r"it fits with a delta of .*`max (\d+)`", told))
     assert built(tmp_path, PATHS.format(most), link) == 0
@@ -52,7 +52,7 @@ def test_a_round_that_the_link_does_not_carry(
 def test_writes_that_need_several_datagrams_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert built(tmp_path, PATHS.format(100), "link: {rate: 54e6}\n") == 0
     told = capsys.readouterr().err
-    assert f"{tmp_path}/a.koord:1:22: warning[B009]: an event's writes take up to " in told
+    assert f"{tmp_path}/a.koord:1:22: warning[B009]: the writes of an event take up to " in told
     assert (tmp_path / "out/a/alice/settings.json").exists()
     assert built(tmp_path, PATHS.format(10), "link: {rate: 54e6}\n") == 0
     assert capsys.readouterr().err == ""
@@ -61,11 +61,11 @@ def test_writes_that_need_several_datagrams_are_warned_of(tmp_path: Path, capsys
 @pytest.mark.parametrize(
     ("program", "words"),
     [
-        (PATHS.format(6000), "error[B004]: one round's shared writes take up to 168046 bytes"),
+        (PATHS.format(6000), "error[B004]: shared writes of one round take up to 168046 bytes"),
         (PATHS.format(4000), "error[B004]: all shared variables together take up to 560"),
         (
             f"local: string s max 2000\ninit: t = s\nallwrite: string t max 2000\n{PATHS.format(1)}",
-            "what `init` writes",
+            "writes of `init` to",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""Exit statuses mean the same in every command, as the table in docs/reference/cli.md says."""
+"""Exit statuses have the same meaning in every command, as in the table of docs/reference/cli.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The pages say what is there: targets as their manifests have them, codes, and examples that compile."""
+"""Pages agree with the code: ports and settings of targets, codes, and examples that compile."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAGE = (Path(__file__).parents[2] / "docs/reference/targets.md").read_text(encod
 
 
 def rows(target: manifest.Target) -> list[str]:
-    """The table rows that document a target's ports and settings."""
+    """Return the table rows that document a target's ports and settings."""
     ports = [
         f"| `{name}` | {direction} | `{koord_type}` |"
         for direction, offered in (

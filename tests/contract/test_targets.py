@@ -1,4 +1,4 @@
-"""What every target must keep, enlisted by its manifest: a dropped folder is tested at once."""
+"""Contract of all targets: each folder with a manifest is tested."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_requirements_are_pinned_and_cover_what_is_imported(target: manifest.Tar
 
 @by_name
 def test_the_locked_versions_are_those_of_the_bundles(target: manifest.Target) -> None:
-    """What the tests run with is what a robot installs."""
+    """Tests run with the package versions that a robot installs."""
     lock = (Path(__file__).parents[2] / "requirements.lock").read_text()
     locked = {line.partition("==")[0]: line for line in lock.splitlines()}
     for line in target.requirements:
@@ -106,7 +106,7 @@ def test_simulation_names_a_body_and_a_device_of_the_harness(target: manifest.Ta
 
 @agents_by_name
 def test_every_setting_reaches_the_body(target: manifest.Target, tmp_path: Path) -> None:
-    """A setting that the manifest offers and the platform does not know would be refused by the robot, not by build."""
+    """The robot, not the build, would refuse a setting of the manifest that the platform does not know."""
     files = build(target.name)
     body = json.loads(files[f"{target.name}-0"]["settings.json"])["body"]
     assert set(body) == set(target.settings)
@@ -114,7 +114,7 @@ def test_every_setting_reaches_the_body(target: manifest.Target, tmp_path: Path)
 
 @agents_by_name
 def test_diagnosis_names_what_is_missing_and_closes_what_it_opened(target: manifest.Target) -> None:
-    """No device is there and no port speaks: nothing is raised, in time, twice."""
+    """Without any device and with silent ports the diagnosis ends in time and without an exception, twice."""
     module, _, name = target.entry.partition(":")
     platform: Platform = getattr(importlib.import_module(module), name)(settings_of(target), bytes(32))
     opened = os.listdir("/proc/self/fd")

@@ -1,5 +1,7 @@
-"""An example's program, run by the executable semantics in a simple world: robots move at 1 m/s straight to where
-they are sent, lidars see the fleet file's obstacles, rooms cool down. No processes, no clock: seconds for a mission."""
+"""Run of an example by the executable semantics in a simple world, without processes and clock: seconds for a mission.
+
+Robots move at 1 m/s straight to their targets, lidars see the fleet file's obstacles, rooms cool down.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ RAYS, SIGHT = 180, 6.0  # as the simulator's lidar has them; metres
 
 
 class Body:
-    """One robot's: where it is, where it makes for, how warm its room is."""
+    """State of one robot: position, target, and the temperature of its room."""
 
     def __init__(self, start: Point, height: float) -> None:
         self.position, self.height = Point(start.x, start.y, height), height
@@ -48,7 +50,7 @@ class Body:
                     self.heating = value
 
     def move(self, seconds: float) -> None:
-        """A quad's goals are raised to its flight height, a car stays on the ground."""
+        """Move the robot: a quad's goals are raised to its flight height, a car stays on the ground."""
         self.temp += seconds * (0.02 * (5.0 - self.temp) + (1.2 if self.heating else 0.0))
         left, here = SPEED * seconds, self.position
         while self.goals and left > 0:
@@ -65,9 +67,11 @@ class Body:
 
 
 class Stage:
-    """A fleet in its world. `step` takes one round and asks for every invariant after it; `lines` is what robots put
-    out, as (pid, line); `discarded` what went wrong. `skips` is the share of rounds that a robot misses; `params` go
-    before the fleet file's."""
+    """A fleet in its world. `step` runs one round, and checks every invariant after it.
+
+    `lines`: output of robots, as (pid, line). `discarded`: faults of events. `skips`: share of missed rounds.
+    `params`: replace those of the fleet file.
+    """
 
     def __init__(self, name: str, skips: float = 0.0, fleet: str = "fleet.yaml", **params: Any) -> None:
         folder = EXAMPLES / name
@@ -95,14 +99,14 @@ class Stage:
         return self.state
 
     def until(self, done: Callable[[State], bool], rounds: int) -> None:
-        """Step until something is true, which must come within that many rounds."""
+        """Step until a condition holds, within that many rounds."""
         for _ in range(rounds):
             if done(self.step()):
                 return
         raise AssertionError(f"not after {rounds} rounds: {self.state}")
 
     def settle(self, steps: list[Step]) -> None:
-        """What robots did takes effect in the world, and delta passes."""
+        """Apply the robots' commands to the world, and let delta pass."""
         for pid, _, outcome in steps:
             if isinstance(outcome, Writes):
                 self.bodies[pid].command(dict(outcome.ports))
@@ -154,7 +158,7 @@ def bodies(fleet: Fleet) -> Iterator[Body]:
 
 
 def externs(program: Program, folder: Path) -> dict[str, Callable[..., Value]]:
-    """The program's extern functions, from the file beside it."""
+    """Return the program's extern functions, from the file beside it."""
     if not program.externs:
         return {}
     spec = importlib.util.spec_from_file_location(f"{program.name}_functions", folder / f"{program.name}_functions.py")
@@ -173,7 +177,7 @@ def externs(program: Program, folder: Path) -> dict[str, Callable[..., Value]]:
 
 
 def way(start: Point, goal: Point, obstacles: Iterable[Grid]) -> tuple[Point, ...]:
-    """From cell to cell beside cells that are occupied, and from their neighbours; [] when there is none."""
+    """Return a path over cells that are not beside an occupied cell; [] without a path."""
     taken = {(g.x, g.y) for g in obstacles}
     size = next(iter(obstacles)).size
     blocked = {(x + i, y + j) for x, y in taken for i in (-1, 0, 1) for j in (-1, 0, 1)}
@@ -203,7 +207,7 @@ def scan(position: Point, fleet: Fleet) -> Scan:
 
 
 def sight(position: Point, angle: float, fleet: Fleet) -> float:
-    """How far one sees: to the first obstacle's face."""
+    """Return the distance (m) to the first obstacle's face along a ray."""
     found = SIGHT
     for box in fleet.obstacles:
         enter, leave = 0.0, found

@@ -1,5 +1,7 @@
-"""Every example checks without a word, builds for its fleet, is in the one style and says how to run it; in `make slow`
-each runs in the simulator once."""
+"""Examples: each has no diagnostics, builds for its fleet, is formatted, and says how to run it.
+
+`make slow` also runs each in the simulator once.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ def readme(name: str) -> str:
 
 
 def commands(text: str) -> list[list[str]]:
-    """The commands in the code blocks of a page."""
+    """Return the commands in the code blocks of a page."""
     blocks = re.findall(r"^```\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     lines = [shlex.split(line, comments=True) for block in blocks for line in block.splitlines()]
     return [line for line in lines if line]
@@ -43,7 +45,7 @@ def test_all_thirteen_are_here() -> None:
 
 @each
 def test_it_checks_without_a_word(name: str) -> None:
-    assert check_file(str(EXAMPLES / name / f"{name}.koord")).noticed == ()
+    assert check_file(str(EXAMPLES / name / f"{name}.koord")).diagnostics == ()
 
 
 @each
@@ -57,7 +59,7 @@ def test_it_is_in_the_one_style(name: str) -> None:
 def test_the_commands_of_its_readme(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`koordgen build` as it stands there writes a bundle for each robot; `koordgen sim` is of the same files."""
+    """`koordgen build` in it writes a bundle for each robot; `koordgen sim` uses the same files."""
     if name in ALONE:
         check, sim = commands(readme(name))
         assert check == ["koordgen", "check", f"examples/{name}/{name}.koord"]
@@ -110,7 +112,7 @@ ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "re
 @pytest.mark.slow
 @each
 def test_it_runs_in_the_simulator(name: str, tmp_path: Path) -> None:
-    """The run holds; the programs that have an end come to it within the time given."""
+    """The run holds; programs that stop do so within the given time."""
     folder = EXAMPLES / name
     command = [sys.executable, "-m", "koordgen", "sim", str(folder / f"{name}.koord")]
     command += [] if name in ALONE else ["--fleet", str(folder / "fleet.yaml")]

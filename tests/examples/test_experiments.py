@@ -1,4 +1,4 @@
-"""The published experiments, in lockstep: campaigns of a few seeds, each run judged by the example's own script."""
+"""Published experiments in lockstep: campaigns of a few seeds; each example's own script judges its runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 
 def campaign(name: str, fleet: str, seconds: int, out: Path, *words: str) -> dict[str, Any]:
-    """All runs hold; the table."""
+    """Run a campaign, whose runs must all hold. Return its table."""
     folder = EXAMPLES / name
     files = [str(folder / f"{name}.koord"), "--fleet", str(folder / f"{fleet}.yaml")]
     judged = ["--lockstep", "--duration", str(seconds), "--verdict", str(folder / f"{name}_verdict.py")]
@@ -44,7 +44,7 @@ def test_task_holds_on_a_bad_network(tmp_path: Path) -> None:
 
 
 def test_task_that_nobody_can_reach_is_told(tmp_path: Path) -> None:
-    """A car has nobody for the tasks in the air; the mission ends all the same."""
+    """A car cannot reach the tasks in the air; the mission ends all the same."""
     text = (EXAMPLES / "task/fleet_4c.yaml").read_text(encoding="utf-8")
     text = text.replace("0.0], id: 20}", "1.5], id: 20}")
     (tmp_path / "fleet.yaml").write_text(text, encoding="utf-8")

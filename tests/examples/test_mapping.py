@@ -1,5 +1,8 @@
-"""What one robot of Mapping asks of its Python and of its planner, event by event: about its own strip, from where it
-is, around what the fleet's map shows. That the fleet gets there is test_missions.py."""
+"""Calls of Mapping to its Python functions and its planner, event by event, for one robot.
+
+Each call must be about the robot's own strip, from its position, around what the fleet's map shows. test_missions.py
+tests that the fleet completes the map.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ def program() -> Program:
 
 
 class Asked:
-    """A world that answers as it is told and remembers what it was asked, as (whose or what, arguments)."""
+    """World with given answers that records the calls, as (port or function, arguments)."""
 
     def __init__(self, way: tuple[Point, ...] = WAY, explored: frozenset[int] = frozenset()) -> None:
         self.questions: list[tuple[object, ...]] = []

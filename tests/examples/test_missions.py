@@ -1,4 +1,4 @@
-"""Each example does what it is for, and its invariants hold at every round's boundary; also when robots miss rounds."""
+"""Missions of the examples: each reaches its goal, and invariants hold after every round, even a missed one."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ TASK_FLEETS = ("fleet", "fleet_2q1c", "fleet_1q2c", "fleet_4q", "fleet_4c")
 
 
 def done(stage: Stage) -> list[int]:
-    """The tasks that robots said were done, in their order of ids."""
+    """Return the tasks that robots reported as done, ordered by id."""
     return sorted(int(line.split()[1]) for _, line in stage.lines if line.endswith("done"))
 
 
@@ -67,7 +67,7 @@ def test_task_all_tasks_are_done_once(fleet: str, skips: float) -> None:
 
 @SKIPS
 def test_task_whose_way_is_taken_waits(skips: float) -> None:
-    """Cleo's way to the third task would lead between the two others."""
+    """Cleo's path to the third task would lead between the two others."""
     places = [[5.0, 5.5, 0.0], [2.2, 5.5, 0.0], [3.5, 1.0, 0.0]]
     tasks = [{"target": place, "id": number} for number, place in enumerate(places)]
     stage = Stage("task", skips, "fleet_4c.yaml", eps=1.2, tasks=tasks)
@@ -120,7 +120,7 @@ def test_delivery_every_parcel_at_its_door(skips: float) -> None:
 
 @SKIPS
 def test_delivery_one_after_the_other(skips: float) -> None:
-    """The doors in the middle are 4 m apart: a way to one of them keeps clear of no way to the other."""
+    """The doors in the middle are 4 m apart, so paths to different doors come too close to one another."""
     Stage("delivery", skips, eps=4.5).until(stopped, 2500)
 
 

@@ -1,4 +1,4 @@
-"""The scripts that judge runs of Task, Mapping and Formation: each thing that must not be is seen, and nothing else."""
+"""Verdict scripts of Task, Mapping and Formation: each fault is found, and correct runs pass."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ WALL = {"shape": "box", "lo": [2.0, 0.0, 0.0], "hi": [4.0, 2.0, 1.0]}  # the eas
 
 
 def handed(t: float, rows: list[str]) -> dict[str, Any]:
-    """A map of 0.5 m from (0, 0) on, north at the top: `?` unknown, `.` free, `#` occupied."""
+    """Return a map with cells of 0.5 m from (0, 0), with north at the top: `?` unknown, `.` free, `#` occupied."""
     codes = [{"?": 0, ".": 1, "#": 3}[c] for row in reversed(rows) for c in row]
     bits = bytearray(math.ceil(len(codes) / 4))
     for k, code in enumerate(codes):
@@ -162,5 +162,5 @@ def test_formation(off: float, turned: float, status: int, tmp_path: Path, capsy
 def test_files_that_cannot_be_used_are_told(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert script(name).main([str(tmp_path)]) == 1 and "No such file" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("{")
-    assert script(name).main([str(tmp_path)]) == 1 and "not what a run leaves" in capsys.readouterr().err
+    assert script(name).main([str(tmp_path)]) == 1 and "not the folder of a run" in capsys.readouterr().err
     assert script(name).main([]) == 2

@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.build.pipeline import plan_file
 from koordgen.fleet import manifest
-from koordgen.fleet.deployment import Deployment, Login
+from koordgen.fleet.deployment import DeploymentSettings, Login
 from tests.fleet.test_fleet import GOOD, read
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform"
@@ -22,16 +22,16 @@ def with_host(host: str) -> str:
 @pytest.mark.parametrize(
     ("text", "deployment"),
     [
-        ("", Deployment("koordgen/fleet", "python3", "systemd", "index")),
-        ("deploy: {}", Deployment()),
-        ("deploy: {folder: robots/line, service: none}", Deployment("robots/line", service="none")),
+        ("", DeploymentSettings("koordgen/fleet", "python3", "systemd", "index")),
+        ("deploy: {}", DeploymentSettings()),
+        ("deploy: {folder: robots/line, service: none}", DeploymentSettings("robots/line", service="none")),
         ("deploy: {folder: /srv/koordgen, python: /usr/bin/python3.11}",
-         Deployment("/srv/koordgen", "/usr/bin/python3.11")),
-        ("deploy: {wheels: host}", Deployment(wheels="host")),
-        ("deploy: {wheels: ./my wheels}", Deployment(wheels="./my wheels")),
+         DeploymentSettings("/srv/koordgen", "/usr/bin/python3.11")),
+        ("deploy: {wheels: host}", DeploymentSettings(wheels="host")),
+        ("deploy: {wheels: ./my wheels}", DeploymentSettings(wheels="./my wheels")),
     ],
 )  # fmt: skip
-def test_the_section(text: str, deployment: Deployment) -> None:
+def test_the_section(text: str, deployment: DeploymentSettings) -> None:
     fleet, found = read(f"{text}\n{GOOD}")
     assert found == [] and fleet is not None and fleet.deployment == deployment
 
@@ -42,7 +42,7 @@ def test_the_section(text: str, deployment: Deployment) -> None:
         ("deploy: [a]", "F004", "deploy must be a mapping"),
         ("deploy: {foldr: a}", "F002", "did you mean 'folder'"),
         ("deploy: {folder: 3}", "F004", "deploy.folder must be a text"),
-        ("deploy: {folder: ~/koordgen}", "F005", "leave `~/` out"),
+        ("deploy: {folder: ~/koordgen}", "F005", "remove `~/`"),
         ("deploy: {folder: ../koordgen}", "F005", "without `..`"),
         ("deploy: {folder: /}", "F005", "for example"),
         ("deploy: {folder: 'a b'}", "F005", "letters, digits"),
@@ -50,8 +50,8 @@ def test_the_section(text: str, deployment: Deployment) -> None:
         ("deploy: {folder: --help}", "F005", "letters, digits"),
         ("deploy: {python: '-c'}", "F005", "for example python3.11"),
         ("deploy: {python: 'python3; reboot'}", "F005", "for example python3.11"),
-        ("deploy: {service: upstart}", "F005", "there are: systemd, none"),
-        ("deploy: {wheels: pypi}", "F005", "there are: index, host"),
+        ("deploy: {service: upstart}", "F005", "possible values: systemd, none"),
+        ("deploy: {wheels: pypi}", "F005", "possible values: index, host"),
     ],
 )
 def test_mistakes_in_the_section(text: str, code: str, words: str) -> None:

@@ -1,4 +1,4 @@
-"""The fleet file: every mistake is told once, where it stands, and all of them in one run."""
+"""Fleet file: one run reports all errors, each once and at its place."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest, medium
-from koordgen.fleet.offered import Fits
 from koordgen.fleet.robots import control_port
+from koordgen.fleet.settings import ValueCheck
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.config.settings import Network, Safety, Settings
 
 EXAMPLE = Path(__file__).parents[2] / "examples/lineform/fleet.yaml"
 TARGETS = {name: manifest.load(name) for name in manifest.available()}
 
-PARAMS: dict[str, Fits] = {
+PARAMS: dict[str, ValueCheck] = {
     "margin": lambda v: "" if type(v) in (int, float) else f"param margin is of type float; {v!r} does not fit",
     "laps": lambda v: "" if type(v) is int else f"param laps is of type int; {v!r} does not fit",
     "home": lambda v: "" if type(v) is list and len(v) == 3 else f"param home is of type Point; {v!r} does not fit",
@@ -114,18 +114,18 @@ LAUGHS = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
         (("hi: [5, 5, 4]", "hi: [5, 5]"), "F004", 3, 34, "[x, y, z]"),
         (("name: bert", "name: alice"), "F006", 8, 11, "already robot 0's"),
         (("47101", "47100"), "F006", 10, 14, "already robot 0's"),
-        (("name: bert", "name: Bert!"), "F005", 8, 11, "cannot name a robot"),
-        (("name: bert", "name: fleet"), "F005", 8, 11, "cannot name a robot"),
-        (("name: bert", "name: ../x"), "F005", 8, 11, "cannot name a robot"),
-        (("target: car", "target: boat"), "F007", 9, 13, "there are: car, quad"),
-        (("target: car", "target: sim"), "F007", 9, 13, "there are: car, quad"),
+        (("name: bert", "name: Bert!"), "F005", 8, 11, "cannot be a robot's name"),
+        (("name: bert", "name: fleet"), "F005", 8, 11, "cannot be a robot's name"),
+        (("name: bert", "name: ../x"), "F005", 8, 11, "cannot be a robot's name"),
+        (("target: car", "target: boat"), "F007", 9, 13, "possible targets: car, quad"),
+        (("target: car", "target: sim"), "F007", 9, 13, "possible targets: car, quad"),
         (("127.0.0.1:47101", "127.0.0.1"), "F005", 10, 14, "not HOST:PORT"),
         (("127.0.0.1:47101", "127.0.0.1:99999"), "F005", 10, 14, "not HOST:PORT"),
-        (("127.0.0.1:47101", "0.0.0.0:47101"), "F005", 10, 14, "at which the peers reach it"),
-        (("127.0.0.1:47101", "'[::]:47101'"), "F005", 10, 14, "at which the peers reach it"),
+        (("127.0.0.1:47101", "0.0.0.0:47101"), "F005", 10, 14, "at which the other robots reach"),
+        (("127.0.0.1:47101", "'[::]:47101'"), "F005", 10, 14, "at which the other robots reach"),
         (("47101\n", "47101\n    settings: {wheelbse: 0.3}\n"), "F002", 11, 16, "did you mean 'wheelbase'"),
         (("47101\n", "47101\n    settings: {wheelbase: 99}\n"), "F005", 11, 27, "0.05 to 5"),
-        (("delta: 0.1", "delta: 0.1\ndelta: 0.2"), "F006", 2, 1, "stands twice"),
+        (("delta: 0.1", "delta: 0.1\ndelta: 0.2"), "F006", 2, 1, "appears twice"),
         (("delta: 0.1", "key: ../fleet.key\ndelta: 0.1"), "F005", 1, 6, "without folders"),
         (("delta: 0.1", "key: my.key\ninsecure: true\ndelta: 0.1"), "F005", 1, 6, "not both"),
         (("delta: 0.1", "delta: [0.1"), "F001", 1, 8, "this '[' is not closed"),
@@ -134,8 +134,8 @@ LAUGHS = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
         (("delta: 0.1", "delta: " + "{a: " * 50_000), "F001", 1, 404, "more than 100 deep"),
         (("delta: 0.1", "\n".join(f"{'  ' * i}a:" for i in range(3000)) + " 1"), "F001", 101, 201, "100 deep"),
         (("delta: 0.1", LAUGHS + "delta: 0.1"), "F001", 6, 12, "more than 200,000 values"),
-        (("delta: 0.1", "delta: &a [*a]"), "F001", 1, 12, "*a stands within its own value"),
-        (("delta: 0.1", "delta: &a [{x: [1, *a]}]"), "F001", 1, 20, "*a stands within its own value"),
+        (("delta: 0.1", "delta: &a [*a]"), "F001", 1, 12, "the alias *a is a part of its own value"),
+        (("delta: 0.1", "delta: &a [{x: [1, *a]}]"), "F001", 1, 20, "the alias *a is a part of its own value"),
         (("delta: 0.1", "delta: *a"), "F001", 1, 8, "undefined alias"),
         (("delta: 0.1", "delta: 1:30"), "F004", 1, 8, "finite number, not '1:30'"),
         (("delta: 0.1", "delta: " + "1:" * 50_000 + "1"), "F004", 1, 8, "not '1:1:1"),
@@ -148,7 +148,7 @@ LAUGHS = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
         (("delta: 0.1", "params: {home: [1, 2]}\ndelta: 0.1"), "F004", 1, 16, "home is of type Point"),
         (("delta: 0.1", "safety: {missed_rounds: 2.5}\ndelta: 0.1"), "F004", 1, 25, "whole number"),
         (("delta: 0.1", "safety: {missed_rounds: 0}\ndelta: 0.1"), "F005", 1, 25, "missed_rounds (rounds) is 0; it"),
-        (("delta: 0.1", "safety: {missed_action: land}\ndelta: 0.1"), "F005", 1, 25, "there are: hold, rest"),
+        (("delta: 0.1", "safety: {missed_action: land}\ndelta: 0.1"), "F005", 1, 25, "possible values: hold, rest"),
         (("delta: 0.1", "safety: {missed_action: 1}\ndelta: 0.1"), "F004", 1, 25, "must be a text"),
         (("delta: 0.1", "safety: {missed_action: rest}\ndelta: 0.1"), "F005", 1, 25, "`missed_rounds: 16` or more"),
         (("delta: 0.1", "safety: {missed_action: rest, missed_rounds: 15}\ndelta: 0.1"), "F005", 1, 25, "+ 5 = 15 rou"),
@@ -166,17 +166,17 @@ LAUGHS = "a: &a [1, 2, 3, 4, 5, 6, 7, 8, 9, 0]\n" + "".join(
         (("delta: 0.1", "link: {mtu: 100}\ndelta: 0.1"), "F005", 1, 13, "576 to 65535"),
         (("delta: 0.1", "link:\ndelta: 0.1"), "F004", 1, 6, "must be a mapping"),
         (("delta: 0.1", "network: {transprot: zenoh}\ndelta: 0.1"), "F002", 1, 11, "did you mean 'transport'"),
-        (("delta: 0.1", "network: {transport: tcp, group: 1}\ndelta: 0.1"), "F005", 1, 22, "there are: unicast, b"),
+        (("delta: 0.1", "network: {transport: tcp, group: 1}\ndelta: 0.1"), "F005", 1, 22, "possible values: unicast"),
         (("delta: 0.1", "network: {transport: 7}\ndelta: 0.1"), "F004", 1, 22, "network.transport must be a"),
-        (("delta: 0.1", "network: {group: 239.255.71.1}\ndelta: 0.1"), "F005", 1, 18, "nothing to transport unicast"),
+        (("delta: 0.1", "network: {group: 239.255.71.1}\ndelta: 0.1"), "F005", 1, 18, "unicast has no setting"),
         (("delta: 0.1", "network: {transport: multicast}\ndelta: 0.1"), "F005", 1, 10, "`group: 239.255.71.1`"),
         (("delta: 0.1", "network: {transport: multicast, group: 10.0.0.1}\ndelta: 0.1"), "F005", 1, 40, "needs a gro"),
         (("delta: 0.1", "network: {transport: multicast, group: 9}\ndelta: 0.1"), "F004", 1, 40, "group must be a"),
         (("delta: 0.1", "network: {transport: broadcast, group: 239.1.2.3}\ndelta: 0.1"), "F005", 1, 40, "192.168.1."),
-        (("delta: 0.1", "network: {transport: zenoh, port: 1}\ndelta: 0.1"), "F005", 1, 35, "takes: mode, listen"),
+        (("delta: 0.1", "network: {transport: zenoh, port: 1}\ndelta: 0.1"), "F005", 1, 35, "possible keys: mode,"),
         (("delta: 0.1", "network: {transport: zenoh, mode: hub}\ndelta: 0.1"), "F005", 1, 35, "peer, router, client"),
         (("delta: 0.1", "network: {transport: zenoh, connect: x}\ndelta: 0.1"), "F004", 1, 38, "must be a list"),
-        (("delta: 0.1", "network: {transport: zenoh, listen: [x]}\ndelta: 0.1"), "F005", 1, 38, "no endpoint of Zenoh"),
+        (("delta: 0.1", "network: {transport: zenoh, listen: [x]}\ndelta: 0.1"), "F005", 1, 38, "not a Zenoh endpoint"),
     ],
 )  # fmt: skip
 def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int, column: int, words: str) -> None:
@@ -191,13 +191,13 @@ def test_each_mistake_at_its_place(change: tuple[str, str], code: str, line: int
     ("text", "link"),
     [
         ("", None),
-        ("link: {}\n", medium.Link(6e6, 0.1, 1500)),
-        ("link: {rate: 6e6, loss: 0, mtu: 576}\n", medium.Link(6e6, 0.0, 576)),
-        ("link: {rate: 54000000}\n", medium.Link(54e6, 0.1, 1500)),
-        ("link: {rate: 1.5E+7, loss: 0.25}\n", medium.Link(15e6, 0.25, 1500)),
+        ("link: {}\n", medium.Medium(6e6, 0.1, 1500)),
+        ("link: {rate: 6e6, loss: 0, mtu: 576}\n", medium.Medium(6e6, 0.0, 576)),
+        ("link: {rate: 54000000}\n", medium.Medium(54e6, 0.1, 1500)),
+        ("link: {rate: 1.5E+7, loss: 0.25}\n", medium.Medium(15e6, 0.25, 1500)),
     ],
 )
-def test_the_link(text: str, link: medium.Link | None) -> None:
+def test_the_link(text: str, link: medium.Medium | None) -> None:
     read_fleet, found = read(text + GOOD)
     assert found == []
     assert read_fleet is not None

@@ -1,4 +1,4 @@
-"""Where a motion capture system's frame lies: what the fleet file says, and what it does to poses."""
+"""Frames of motion capture systems: the fleet file's section, and the transformation of poses."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def test_a_frame_that_is_turned_and_moved() -> None:
 
 
 def test_a_frame_whose_y_axis_points_up() -> None:
-    """x to the right, y up, so z towards the viewer: what is in front of him is at negative z."""
+    """x to the right, y up, so z towards the viewer: points in front of the viewer have a negative z."""
     found = Mocap(up="y").pose((1.0, 1.5, -2.0), about((0, 1, 0), 0.7))
     assert found is not None and found[0] == pytest.approx((1.0, 2.0, 1.5)) and found[1] == pytest.approx(0.7)
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2))
 def test_the_heading_is_where_the_nose_points_however_it_tilts(yaw: float, pitch: float, roll: float) -> None:
-    """Yaw, then pitch, then roll: both leave the nose's direction in the plane."""
+    """Yaw, then pitch, then roll: the last two keep the direction of the nose in plan view."""
 
     def times(a: Quaternion, b: Quaternion) -> Quaternion:
         ax, ay, az, aw = a

@@ -1,4 +1,4 @@
-"""The fleet file's `monitors`: names that the program has, actions that the robots have; each mistake at its place."""
+"""`monitors` of the fleet file: names of the program's properties, actions that robots have, errors at their places."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from koordgen.build.pipeline import Rejected, check_file, read_fleet
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest
-from koordgen.fleet.offered import Known
+from koordgen.fleet.settings import NameChecks
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.config.settings import Action
 from koordgen.runtime.monitor.monitor import LOOPS
@@ -37,7 +37,7 @@ def read(monitors: str, more: str = "") -> tuple[dict[str, str] | None, list[tup
         found.append((code, span.line, span.column, f"{message} | {help}"))
 
     text = TEXT.replace("MONITORS", monitors) + more
-    made = fleet.read(Source("fleet.yaml", text), TARGETS, {}, report, Known(properties=NAMES))
+    made = fleet.read(Source("fleet.yaml", text), TARGETS, {}, report, NameChecks(properties=NAMES))
     return (None if made is None else made.monitors), found
 
 
@@ -57,11 +57,11 @@ def test_what_it_says_is_taken() -> None:
     ("monitors", "more", "code", "column", "words"),
     [
         ("Geofense: hold", "", "F002", 12, "did you mean 'Geofence'"),
-        ("Geofence: halt", "", "F005", 22, "there are: off, log, hold, land, stop"),
+        ("Geofence: halt", "", "F005", 22, "possible values: off, log, hold, land, stop"),
         ("Geofence: 1", "", "F004", 22, "must be a text"),
-        ("Geofence: land", CAR, "F005", 22, "'land', which bert cannot | `stop` brings"),
-        ("default: land", CAR, "F005", 21, "'land', which bert cannot"),
-        ("Geofence: hold, Geofence: log", "", "F006", 28, "stands twice"),
+        ("Geofence: land", CAR, "F005", 22, "'land', which these robots cannot do: bert | use `stop`"),
+        ("default: land", CAR, "F005", 21, "'land', which these robots cannot do: bert"),
+        ("Geofence: hold, Geofence: log", "", "F006", 28, "appears twice"),
     ],
 )
 def test_each_mistake_at_its_place(monitors: str, more: str, code: str, column: int, words: str) -> None:

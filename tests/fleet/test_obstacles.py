@@ -1,4 +1,4 @@
-"""Obstacles in the fleet file: boxes, spheres, cylinders, meshes, each mistake told where it stands."""
+"""Obstacles in the fleet file: boxes, spheres, cylinders and meshes, with errors at their places."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def test_a_fleet_needs_none() -> None:
         ("{base: [0, 0, 0], radius: 1, height: -2}", "F005", "obstacle 1.height (metres) is -2"),
         ("{centre: [0, 0, 0], radius: 1, height: 2}", "F002", "unknown key 'height'"),
         ("{mesh: nowhere.stl}", "F005", "cannot be read: No such file"),
-        ("{mesh: house.fbx}", "F005", "obstacle 1.mesh is 'house.fbx'"),
+        ("{mesh: house.fbx}", "F005", "obstacle 1.mesh cannot be 'house.fbx'"),
         ("{mesh: 7}", "F004", "obstacle 1.mesh must be a text"),
-        ("{cone: [0, 0, 0], angle: 1}", "F003", "obstacle 1 has no shape that is known"),
+        ("{cone: [0, 0, 0], angle: 1}", "F003", "obstacle 1 has the keys of no known shape"),
     ],
 )
 def test_a_mistake_is_told_at_its_place(box: str, code: str, said: str) -> None:
@@ -132,17 +132,17 @@ def test_stl_of_both_kinds_and_obj() -> None:
 @pytest.mark.parametrize(
     ("data", "form", "said"),
     [
-        (b"", "stl", "no STL"),
+        (b"", "stl", "not an STL"),
         (b"", "obj", "no faces"),
-        (binary((0, 0, 0, 1, 0, 0, 0, 1, 0))[:-7], "stl", "cut short|no mesh"),
+        (binary((0, 0, 0, 1, 0, 0, 0, 1, 0))[:-7], "stl", "truncated"),
         (binary((0, 0, 0, math.nan, 0, 0, 0, 1, 0)), "stl", "not finite"),
-        (TEXT.replace("vertex 0 1 0\n", "").encode(), "stl", "line 6: a face is no triangle"),
+        (TEXT.replace("vertex 0 1 0\n", "").encode(), "stl", "line 6: a face is not a triangle"),
         (TEXT.replace("1 0 0", "1 0").encode(), "stl", "line 5: three numbers"),
         (b"v 0 0 0\nf 1 2 3\n", "obj", "line 2: there is no vertex 2"),
         (b"v 0 0 0\nf 1 0 1\n", "obj", "line 2: there is no vertex 0"),
-        (b"v 0 0 0\nf 1 1\n", "obj", "line 2: a face of 2 corners"),
+        (b"v 0 0 0\nf 1 1\n", "obj", "line 2: a face has 2 corners"),
         (b"v 0 zero 0\n", "obj", "line 1: three numbers"),
-        (b"\xff\xfe", "obj", "no mesh of its kind"),
+        (b"\xff\xfe", "obj", "not a mesh of this format"),
     ],
 )
 def test_what_is_no_mesh_says_why(data: bytes, form: str, said: str) -> None:
@@ -156,16 +156,16 @@ def test_a_mistake_in_a_mesh_stands_at_its_name(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=rf"F005 {LINE}:{column} the mesh .*bad.obj cannot be used: line 1"):
         obstacles("{mesh: bad.obj}", folder=tmp_path)
     (tmp_path / "huge.stl").write_bytes(binary(*[(0, 0, 0, 1, 0, 0, 0, 1, 0)] * (MOST_FACES + 1)))
-    with pytest.raises(ValueError, match="10001 triangles; there may be at most 10000"):
+    with pytest.raises(ValueError, match="10001 triangles; at most 10000 are allowed"):
         obstacles("{mesh: huge.stl}", folder=tmp_path)
     (tmp_path / "roof.obj").write_text(ROOF)
-    with pytest.raises(ValueError, match="reaches beyond"):
+    with pytest.raises(ValueError, match="is further than 100000 m"):
         obstacles("{mesh: roof.obj, scale: 1e6}".replace("1e6", "1000000"), folder=tmp_path)
 
 
 @pytest.mark.parametrize(
     ("setting", "said"),
-    [("planner: rrt-star", ""), ("planner: dijkstra", "planner is 'dijkstra'"), ("planner: own.plan:Mine", "")],
+    [("planner: rrt-star", ""), ("planner: dijkstra", "planner cannot be 'dijkstra'"), ("planner: own.plan:Mine", "")],
 )
 def test_a_planner_is_one_of_those_there_are_or_a_class(setting: str, said: str) -> None:
     robot = f"  - {{name: q, target: quad, address: 'h:1', settings: {{{setting}}}}}\n"
@@ -184,8 +184,8 @@ def test_a_mesh_is_a_regular_file_of_a_size_that_can_be_read(tmp_path: Path) -> 
     with (tmp_path / "large.stl").open("wb") as large:
         large.truncate(MOST_BYTES + 1)
     for name, words in (
-        ("pipe", "is no regular file"), ("folder", "is no regular file"), ("endless", "is no regular file"),
-        ("large", "has 16,777,217 bytes; there may be at most 16,777,216"),
+        ("pipe", "is not a regular file"), ("folder", "is not a regular file"), ("endless", "is not a regular file"),
+        ("large", "has 16,777,217 bytes; at most 16,777,216 are allowed"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=words):
             obstacles(f"{{mesh: {name}.stl}}", folder=tmp_path)

@@ -1,4 +1,4 @@
-"""The pages about fleet files and shared memory say what is there: keys, messages, bounds."""
+"""Pages about fleet files and shared memory: keys, messages and bounds agree with the code."""
 
 from __future__ import annotations
 

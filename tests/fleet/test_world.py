@@ -1,4 +1,4 @@
-"""The world of a fleet file, how its robots are simulated, and where they start."""
+"""World section of a fleet file, simulation settings of robots, and their starts."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_wall_across_is_a_closed_mesh_that_looks_outward() -> None:
 
 
 def _signed(a: list[float], b: list[float], c: list[float]) -> float:
-    """The volume of the tetrahedron over a face, positive where it looks outward."""
+    """Return the volume of the tetrahedron over a face; positive if the face's normal points outward."""
     cross = (b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0])
     return sum(x * y for x, y in zip(a, cross, strict=True)) / 6
 
@@ -98,13 +98,18 @@ def test_a_robot_is_simulated_as_it_says() -> None:
         ("{wind: {mean: [1, 2]}}", "F004", 22, "world.wind.mean must be [x, y, z]"),
         ("{wind: {gust: -1}}", "F005", 22, "world.wind.gust (m/s) is -1"),
         ("{walls: [{from: [0, 0]}]}", "F003", 17, "wall 0 lacks 'to'"),
-        ("{walls: [{from: [0, 0], to: [0, 0]}]}", "F005", 36, "wall 0 begins where it ends"),
+        ("{walls: [{from: [0, 0], to: [0, 0]}]}", "F005", 36, "wall 0 starts and ends at the same point"),
         ("{walls: [{from: [0, 0, 0], to: [0, 1]}]}", "F004", 24, "wall 0.from must be [x, y]"),
         ("{walls: [{from: [0, x], to: [0, 1]}]}", "F004", 28, "wall 0.from's y must be a finite number"),
         ("{walls: [{from: [0, 0], to: [0, 1], height: 0}]}", "F005", 52, "wall 0.height (metres) is 0"),
         ("{walls: {}}", "F004", 16, "world.walls must be a list"),
         ("{markers: [{name: a}]}", "F003", 19, "marker 0 lacks 'position'"),
-        ("{markers: [{name: a, position: [0, 0, 0]}, {name: a, position: [0, 0, 0]}]}", "F006", 58, "there twice"),
+        (
+            "{markers: [{name: a, position: [0, 0, 0]}, {name: a, position: [0, 0, 0]}]}",
+            "F006",
+            58,
+            "two markers have",
+        ),
         ("{marker_list: {position: target}}", "F003", 22, "world.marker_list lacks 'variable'"),
     ],
 )
@@ -119,8 +124,8 @@ def test_a_mistake_is_told_at_its_place(world: str, code: str, column: int, said
     ("sim", "code", "said"),
     [
         ("{fidelty: simple}", "F002", "did you mean 'fidelity'"),
-        ("{fidelity: best}", "F005", "there are: full, simple"),
-        ("{autopilot: px4}", "F005", "there are: simulated, external"),
+        ("{fidelity: best}", "F005", "possible values: full, simple"),
+        ("{autopilot: px4}", "F005", "possible values: simulated, external"),
         ("{lidar: {rays: 0}}", "F005", "rays is 0"),
         ("{lidar: {rays: 1.5}}", "F004", "rays must be a whole number"),
         ("{lidar: {ray: 7}}", "F002", "did you mean 'rays'"),
@@ -189,10 +194,10 @@ def test_a_marker_list_is_one_of_the_program(tmp_path: Any) -> None:
     for variable, position, said in [
         ("tasks", "place", ""),
         ("spots", "", ""),
-        ("tasks", "", "of Points; there are: place"),
-        ("tasks", "done", "a Point in 'done'; there are: place"),
-        ("n", "", "no shared list of that name"),
-        ("none", "place", "no shared list of that name"),
+        ("tasks", "", "of Points; possible positions: place"),
+        ("tasks", "done", "a Point 'done'; possible positions: place"),
+        ("n", "", "no shared list n of Points"),
+        ("none", "place", "no shared list none whose elements have a Point"),
     ]:
         (tmp_path / "fleet.yaml").write_text(
             f"world: {{marker_list: {{variable: {variable}, position: '{position}'}}}}\n" + GOOD

@@ -1,4 +1,4 @@
-"""What is generated, file by file, as a reader sees it. `python -m tests.golden.test_golden` writes it anew."""
+"""Golden files of generated bundles. `python -m tests.golden.test_golden` writes them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PROGRAMS = {
 
 
 def bundles(name: str) -> dict[str, Files]:
-    """All bundles of one of the programs: two robots, the fleet's facts, the harness."""
+    """Return all bundles of a program: two robots, the fleet's facts, the harness."""
     program, fleet_file = PROGRAMS[name]
     targets = {n: manifest.load(n) for n in manifest.available()}
     source = Source(str(fleet_file), fleet_file.read_text())
@@ -36,7 +36,7 @@ def bundles(name: str) -> dict[str, Files]:
 
 
 def readable(name: str) -> dict[str, bytes]:
-    """What differs from program to program, and the list of all files."""
+    """Return the files that differ between programs, and a list of all files."""
     code = ("__main__.py", "program.py", "properties.py", "source/params.json")
     generated = (*code, "README.md", "requirements.txt", "settings.json", "scenario.json", "fleet.json")
     files: dict[str, bytes] = {}

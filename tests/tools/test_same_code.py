@@ -1,4 +1,4 @@
-"""tools/same_code.py on small repositories of two commits."""
+"""Test of tools/same_code.py on small repositories of two commits."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def git(folder: Path, *arguments: str) -> None:
 
 @pytest.fixture
 def compare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Compare:
-    """Commits two trees, and compares them: the exit status, and what was printed."""
+    """Commit two trees, and compare them. Return the exit status, and the output."""
     repository = tmp_path / "repository"
     repository.mkdir()
     monkeypatch.chdir(repository)

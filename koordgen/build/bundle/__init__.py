@@ -1,6 +1,6 @@
 """Bundles: the files of each robot.
 
-Owns: whether targets offer the ports, whether a round fits, the plan (pure) and its writing.
-Offers: `plan` and `write.write`, which alone touches the output.
+Owns: checks of ports, of sizes and of the user's Python files; the plan (pure) and its writing.
+Offers: `plan.plan`, and `write.write`, the only function that touches the output folder.
 Must not import: the checker.
 """

@@ -1,5 +1,7 @@
-"""Whether what robots share can be sent, by one and by all of them: decided at build time, with the arithmetic in the
-message."""
+"""Message sizes, checked at build time: shared variables must fit into datagrams, and a round into the link's rate.
+
+All sizes are upper bounds. Each message shows its arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +19,26 @@ from koordgen.lang.ir.types import ExternType, MapOf, PerRobot, RecordType, Scal
 from koordgen.lang.node import Node, replace
 
 if TYPE_CHECKING:
-    from koordgen.fleet.medium import Link
+    from koordgen.fleet.medium import Medium
 
-# As koordgen/runtime/net/layout.py, bounds.py and wire.py have them (tests compare): MessagePack's longest forms.
+# Equal to those of koordgen/runtime/net/layout.py, bounds.py and wire.py (tests compare them). Bytes of MessagePack's
+# longest forms.
 DATAGRAM = 1200
 MOST_ENTRY, MOST_FRAGMENTS, MOST_SHARED = 128 * 1024, 256, 256
 _WRITE, _ENTRY = 5, 38
-LONGEST_DELTA = 60.0  # seconds, as in koordgen/fleet/file.py
-_UDP, _IP, _FRAME = 8, 20, 38  # bytes of a datagram; of each packet that it takes; on Ethernet, gap included, likewise
+LONGEST_DELTA = 60.0  # seconds; equal to that of koordgen/fleet/file.py
+_UDP, _IP, _FRAME = 8, 20, 38  # bytes of headers: per datagram, per packet, per Ethernet frame (with its gap)
 
 
 def check_budget(program: Program, robots: int) -> list[Diagnostic]:
-    """Errors, each at the shared variable that takes most, if a fleet of that size cannot send what they hold: in one
-    round, to a robot that comes back, or after `init`."""
+    """Return errors if the shared variables are too large for a fleet of `robots` robots.
+
+    Three messages are checked: the log entry of one round, the state transfer to a robot that rejoins, and the values
+    that `init` writes. Each error points at the largest variable.
+    """
     if len(program.shared) > MOST_SHARED:
-        message = f"a program of {len(program.shared)} shared variables; at most {MOST_SHARED} are supported"
-        return [Diagnostic("B004", "error", message, program.shared[-1].span, help="gather some of them in records")]
+        message = f"the program has {len(program.shared)} shared variables; at most {MOST_SHARED} are supported"
+        return [Diagnostic("B004", "error", message, program.shared[-1].span, help="combine some of them in a record")]
     return [*(_check_entry(program, robots) or _check_store(program, robots)), *_check_init(program, robots)]
 
 
@@ -42,8 +48,8 @@ def _check_entry(program: Program, robots: int) -> list[Diagnostic]:
         return []
     largest = max(program.shared, key=lambda v: most_bytes(v.type))
     message = (
-        f"one round's shared writes take up to {total} bytes; with {robots} robots at most {room} can be sent; "
-        f"{largest.name} alone takes up to {most_bytes(largest.type)}"
+        f"shared writes of one round take up to {total} bytes; with {robots} robots a round can send at most {room} "
+        f"bytes; {largest.name} alone takes up to {most_bytes(largest.type)} bytes"
     )
     return [Diagnostic("B004", "error", message, largest.span, help=_less(program, largest, robots))]
 
@@ -53,16 +59,16 @@ def _check_store(program: Program, robots: int) -> list[Diagnostic]:
     if total <= room:
         return []
     largest = max(program.shared, key=lambda v: _kept(v, robots))
-    slots = f", {robots} slots of {most_bytes(largest.type)}" if largest.kind == "allread" else ""
+    slots = f": {robots} slots of {most_bytes(largest.type)} bytes" if largest.kind == "allread" else ""
     message = (
-        f"all shared variables together take up to {total} bytes; with {robots} robots at most {room} can be handed to "
-        f"a robot that comes back; {largest.name} alone takes up to {_kept(largest, robots)}{slots}"
+        f"all shared variables together take up to {total} bytes; with {robots} robots, a robot that rejoins can "
+        f"receive at most {room} bytes; {largest.name} alone takes up to {_kept(largest, robots)} bytes{slots}"
     )
     return [Diagnostic("B004", "error", message, largest.span, help=_less(program, largest, robots))]
 
 
 def _less(program: Program, largest: Shared, robots: int) -> str:
-    """What makes everything fit."""
+    """Return the help of B004: the greatest capacity of the largest variable that fits, if there is one."""
 
     def fits(variable: Shared) -> bool:
         shared = _with(program.shared, variable)
@@ -81,28 +87,30 @@ def _check_init(program: Program, robots: int) -> list[Diagnostic]:
     largest = max(written, key=lambda pair: pair[1])[0]
     each = " + ".join(f"{most} for {v.name}" for v, most in written if most)
     message = (
-        f"what `init` writes to shared variables must fit in one datagram; it takes up to {total} bytes: {_ENTRY} + "
-        f"{each}; with {robots} robots there is room for {room}"
+        f"writes of `init` to shared variables must fit into one datagram; they take up to {total} bytes: {_ENTRY} + "
+        f"{each}; with {robots} robots there is room for {room} bytes"
     )
     found = _capacity(largest, lambda v: _init_bytes(program, _with(program.shared, v)) <= room)
     ways = [f"it fits with {found}"] if found else []
-    help = ", or ".join([*ways, "give the variable its first value where it is declared, or write it in an event"])
+    help = ", or ".join([*ways, "give the variable its initial value in its declaration, or write it in an event"])
     return [Diagnostic("B004", "error", message, largest.span, help=help)]
 
 
 def most_entry(robots: int) -> int:
-    """The most bytes that an entry may have in a fleet of that size."""
+    """Return the most bytes of one log entry in a fleet of `robots` robots."""
     return min(MOST_ENTRY, most_store(robots))
 
 
 def most_store(robots: int) -> int:
-    """The most bytes that all shared variables may take in a fleet of that size: a robot that comes back gets them in
-    fragments."""
+    """Return the most bytes of all shared variables in a fleet of `robots` robots.
+
+    State transfer sends them to a robot that rejoins, in at most MOST_FRAGMENTS datagrams.
+    """
     return MOST_FRAGMENTS * (DATAGRAM - overhead(robots))
 
 
 def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
-    """The most bytes of these variables, every slot of them, with what else a robot is told that comes back."""
+    """Return the most bytes of a state transfer: all slots of these variables, and the protocol's own fields."""
     members = _head(robots, 16, 0) + NUMBER * robots
     acted = _head(robots, 16, 0) + 5 * robots
     beside = 1 + (1 + 2 * NUMBER + members) + NUMBER + _head(len(shared), 16, 0) + members + acted
@@ -110,80 +118,89 @@ def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
 
 
 def most_init(robots: int) -> int:
-    """The most bytes of the entry that tells what `init` wrote: it goes in one datagram, a Hello."""
+    """Return the most bytes of the entry with the writes of `init`, which is sent in one datagram, a Hello."""
     return DATAGRAM - (146 + 20 * min(robots, 8) + _head(robots, 16, 0) + robots)
 
 
 class Traffic(Node):
-    """What a fleet puts on its medium in one round at most. `writes` are the bytes of the longest entry, `datagrams`
-    those in which it goes to one receiver; `word` and `acknowledgement` the bytes of these and of the datagram that
-    says when it has been applied, headers of packets included."""
+    """Upper bound of the traffic of one round. All byte counts but `writes` include headers of packets.
+
+    `writes`: bytes of the longest log entry. `datagrams`: number of datagrams that carry it to one receiver.
+    `entry`: bytes of these datagrams. `acknowledgement`: bytes of the datagram that reports that a round was applied.
+    `loss`: share of datagrams that the link loses, below 1.
+    """
 
     robots: int
-    receivers: int  # of each robot's datagrams: 1 where one datagram reaches all
+    receivers: int  # of each robot's datagrams; 1 if one datagram reaches all robots
     writes: int
     datagrams: int
-    word: int
+    entry: int
     acknowledgement: int
     loss: float
 
     @property
     def bytes(self) -> int:
-        """With what is repeated."""
-        once = self.robots * self.receivers * (self.word + self.acknowledgement)
+        """Bytes of the whole fleet in one round, with retransmissions of lost datagrams."""
+        once = self.robots * self.receivers * (self.entry + self.acknowledgement)
         return ceil(once / (1 - self.loss))
 
 
-def traffic(shared: tuple[Shared, ...], robots: int, link: Link, to_all: bool) -> Traffic:
-    """For entries that write these variables. `to_all`: one datagram reaches all others (broadcast, multicast)."""
+def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool) -> Traffic:
+    """Return the traffic of a round in which each robot writes these variables.
+
+    `to_all`: one datagram reaches all other robots (broadcast, multicast).
+    """
     writes = _entry(shared)
     head = overhead(robots)
     room = DATAGRAM - head
     alone = on_the_medium(head, link.mtu)
     if writes <= room:
-        datagrams, word = 1, on_the_medium(head + writes, link.mtu)
-    else:  # fragments, and the word that tells of them
+        datagrams, entry = 1, on_the_medium(head + writes, link.mtu)
+    else:  # fragments, and the round message that announces them
         full, rest = divmod(writes, room)
         datagrams = full + bool(rest) + 1
-        word = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
-    return Traffic(robots, 1 if to_all else robots - 1, writes, datagrams, word, alone, link.loss)
+        entry = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
+    return Traffic(robots, 1 if to_all else robots - 1, writes, datagrams, entry, alone, link.loss)
 
 
-def round_bytes(program: Program, robots: int, link: Link, to_all: bool = False) -> int:
-    """The most bytes a round that a fleet of that size puts on its medium, headers of packets included."""
+def round_bytes(program: Program, robots: int, link: Medium, to_all: bool = False) -> int:
+    """Return the most bytes that the fleet sends in one round, headers of packets included."""
     return traffic(_longest(program), robots, link, to_all).bytes
 
 
 def check_link(
-    program: Program, robots: int, delta: float, link: Link | None, to_all: bool = False
+    program: Program, robots: int, delta: float, link: Medium | None, to_all: bool = False
 ) -> list[Diagnostic]:
-    """An error if a round of `delta` seconds is too short for what a fleet of that size may send in it, by what its
-    file says of the link; a warning if an event's writes need several datagrams. Nothing without a `link`."""
+    """Check the traffic of one round against the `link` of the fleet file; None if the fleet file has none.
+
+    B008 (error): a round of `delta` seconds is too short for the traffic. B009 (warning): the writes of one event need
+    several datagrams.
+    """
     if link is None or robots < 2 or not program.events:
         return []
     shared = _longest(program)
     found = traffic(shared, robots, link, to_all)
     largest = max(shared, key=lambda v: most_bytes(v.type), default=None)
     span = largest.span if largest else program.events[0].span
-    told = []
+    diagnostics = []
     if found.bytes * 8 > link.rate * delta:
         message = f"{_arithmetic(found)}; a round of {delta:g} s at {link.rate:g} bit/s carries "
-        message += f"{int(link.rate * delta / 8)}"
-        told.append(Diagnostic("B008", "error", message, span, help=_link_help(found, shared, delta, link)))
+        message += f"{int(link.rate * delta / 8)} bytes"
+        diagnostics.append(Diagnostic("B008", "error", message, span, help=_link_help(found, shared, delta, link)))
     elif largest and found.datagrams > 1:
         message = (
-            f"an event's writes take up to {found.writes} bytes and go in {found.datagrams} datagrams: one of these "
-            "that is lost delays the round"
+            f"the writes of an event take up to {found.writes} bytes and need {found.datagrams} datagrams: "
+            "the loss of one of them delays the round"
         )
         room = DATAGRAM - overhead(robots)
         fits = _capacity(largest, lambda v: _entry(_with(shared, v)) <= room)
-        help = f"they fit in one with {fits}" if fits else "write fewer or smaller variables in one event"
-        told.append(Diagnostic("B009", "warning", message, span, help=help))
-    return told
+        help = f"they fit into one with {fits}" if fits else "write fewer or smaller variables in one event"
+        diagnostics.append(Diagnostic("B009", "warning", message, span, help=help))
+    return diagnostics
 
 
 def on_the_medium(datagram: int, mtu: int) -> int:
-    """The bytes that a datagram takes there: in as few packets as go, each with its headers."""
+    """Return the bytes of a datagram on the link: split into as few packets as possible, each with its headers."""
     packets = ceil((datagram + _UDP) / ((mtu - _IP) // 8 * 8))  # fragments are cut at multiples of 8
     return datagram + _UDP + packets * (_IP + _FRAME)
 
@@ -192,14 +209,13 @@ def _arithmetic(found: Traffic) -> str:
     each = f" x {found.receivers} receivers" if found.receivers > 1 else ""
     datagrams = f"{found.datagrams} datagrams" if found.datagrams > 1 else "one datagram"
     return (
-        f"a round may put {found.bytes} bytes on the link: {found.robots} robots{each} x ({found.word} for "
-        f"{found.writes} of writes in {datagrams} + {found.acknowledgement} of acknowledgement) / "
-        f"(1 - {found.loss:g} lost)"
+        f"a round may send {found.bytes} bytes: {found.robots} robots{each} x ({found.entry} for {found.writes} of "
+        f"writes in {datagrams} + {found.acknowledgement} for the acknowledgement) / (1 - {found.loss:g} loss)"
     )
 
 
-def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Link) -> str:
-    """The least delta and rate, and the greatest capacity of the largest variable, that make it fit."""
+def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Medium) -> str:
+    """Return the help of B008: the least delta, the least rate, and the greatest capacity of the largest variable."""
     bits = found.bytes * 8
     ways = [f"a delta of {_up(bits / link.rate)} s"] if bits / link.rate <= LONGEST_DELTA else []
     ways.append(f"a link of {_up(bits / delta)} bit/s")
@@ -216,19 +232,19 @@ def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: L
 
 
 def _up(value: float) -> str:
-    """Rounded up to three digits."""
+    """Format a value, rounded up to three digits."""
     step = 10.0 ** (floor(log10(value)) - 2)
     return f"{ceil(value / step) * step:.3g}" if value < 100 else f"{ceil(value / step) * round(step)}"
 
 
 def _longest(program: Program) -> tuple[Shared, ...]:
-    """The variables that are written by the event whose writes take most."""
+    """Return the shared variables that the event with the largest writes writes."""
     written = (_written(event.effect) for event in program.events)
     return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_entry, default=())
 
 
 def _written(block: stmt.Block) -> set[str]:
-    """The shared variables that statements write."""
+    """Return the names of the shared variables that a block writes."""
     places = [s.place for s in statements(block) if isinstance(s, stmt.Assign)]
     return {place.name for place in places if isinstance(place, (stmt.OwnSlot, stmt.SharedPlace))}
 
@@ -238,21 +254,21 @@ def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
 
 
 def _most_in(block: stmt.Block, variable: Shared) -> int:
-    """The most bytes of a write of what these statements give to a variable; 0 if they write it nowhere."""
+    """Return the most bytes of a write to `variable` in a block; 0 if the block does not write it."""
     writes = [s for s in statements(block) if isinstance(s, stmt.Assign)]
     values = [s.value for s in writes if s.place in (stmt.OwnSlot(variable.name), stmt.SharedPlace(variable.name))]
     return max((_WRITE + most_bytes(_as_long_as(value, variable.type)) for value in values), default=0)
 
 
 def _as_long_as(value: expr.Expr, type_: Type) -> Type:
-    """A variable's type with no more capacity than an expression needs of it: `[]` holds nothing."""
+    """Return `type_` with its capacity reduced to the length of a literal: 0 for `[]`."""
     if isinstance(value, expr.Make) and isinstance(type_, (Sequence, MapOf)):
         return replace(type_, capacity=min(type_.capacity, len(value.items)))
     return type_
 
 
 def _kept(variable: Shared, robots: int) -> int:
-    """The most bytes of all that a variable holds."""
+    """Return the most bytes of a variable with all its slots."""
     most = most_bytes(variable.type)
     return _head(robots, 16, 0) + robots * most if variable.kind == "allread" else most
 
@@ -262,7 +278,7 @@ def _with(shared: tuple[Shared, ...], changed: Shared) -> tuple[Shared, ...]:
 
 
 def most_bytes(type_: Type) -> int:
-    """The most bytes of a value in MessagePack, within its capacities."""
+    """Return the most bytes of a value in MessagePack, within the declared capacities."""
     match type_:
         case Scalar():
             return FIXED[type_]
@@ -290,8 +306,10 @@ def most_bytes(type_: Type) -> int:
 
 
 def overhead(robots: int) -> int:
-    """The most bytes of a datagram beside its entries: head, clock echoes of up to 8 robots, what is held of each.
-    With one or two robots a Hello has more."""
+    """Return the most bytes of a datagram without its entries: head, up to 8 clock echoes, a number for each robot.
+
+    In a fleet of one or two robots a Hello is longer than a round message, and counts.
+    """
     echoes = 20 * min(robots, 8)
     return echoes + max(152 + robots, 141 + 5 * robots + (2 if robots >= 16 else 0))
 
@@ -301,12 +319,12 @@ def _head(count: int, shortest: int, short: int) -> int:
 
 
 def _entry(shared: tuple[Shared, ...]) -> int:
-    """The most bytes of an entry that writes these variables."""
+    """Return the most bytes of a log entry that writes these variables."""
     return _ENTRY + sum(_WRITE + most_bytes(v.type) for v in shared)
 
 
 def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:
-    """The greatest `max` with which a variable fits, as help says it; empty if none does."""
+    """Return a help text with the greatest `max` for which the variable fits; empty if there is none."""
     type_ = variable.type
     if not isinstance(type_, (Sized, Sequence, MapOf)):
         return ""
@@ -317,6 +335,6 @@ def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:
 
 
 def _sized_inside(type_: Sequence | MapOf) -> bool:
-    """Whether more capacities follow the outermost one."""
+    """Return whether elements, keys or values have capacities of their own, written after the outermost one."""
     parts = (type_.element,) if isinstance(type_, Sequence) else (type_.key, type_.value)
     return any(isinstance(part, (Sized, Sequence, MapOf)) for part in parts)

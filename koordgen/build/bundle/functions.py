@@ -1,4 +1,4 @@
-"""The Python beside a program: where it is, and whether it has the extern functions and types that are declared."""
+"""Functions file: the user's Python file with the extern functions and types of a program. Finds and checks it."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from koordgen.lang.source import Span
 
 
 def functions_file(program: Program, folder: Path, given: str | None) -> Path | None:
-    """The file of a program's extern functions: the one that was named, or else `<app>_functions.py` beside it; None
-    when the program needs none."""
+    """Return the functions file: `given`, or `<app>_functions.py` in the program's folder; None if none is needed."""
     if not program.externs and not program.extern_types:
         return None
     return Path(given) if given else folder / f"{functions_module(program)}.py"
 
 
 def check_functions(program: Program, file: Path | None) -> list[Diagnostic]:
-    """One diagnostic for each extern function or type that the file lacks or has in another form."""
+    """Return a diagnostic for each extern function or type that is missing in the file or does not fit."""
     if file is None:
         return []
     needs: tuple[ExternFunction | ExternType, ...] = (*program.externs, *program.extern_types)
     first = min(needs, key=lambda need: need.span.line).span
     if not file.is_file():
-        help = f"write it beside {program.path}, or name another file with --functions"
-        return [_wrong(f"{file}, which has the extern functions, is not there", first, help)]
-    from koordgen.build.bundle.probe import Unusable, look
+        help = f"write it in the folder of {program.path}, or name another file with --functions"
+        return [_wrong(f"there is no file {file}, which should have the extern functions", first, help)]
+    from koordgen.build.bundle.probe import NotImportable, look
 
     try:
         offered = look(file, file.parent, [need.name for need in needs])
-    except Unusable as error:
-        help = "the build looks at its functions, so it must be importable on this host as well"
+    except NotImportable as error:
+        help = "the build imports it to check its functions, so the import must work on this computer as well"
         return [_wrong(f"{file.name} cannot be imported: {error}", first, help)]
     return [d for need in needs for d in _check(need, offered[need.name], file.name)]
 
@@ -42,24 +41,24 @@ def check_functions(program: Program, file: Path | None) -> list[Diagnostic]:
 def _check(need: ExternFunction | ExternType, found: dict[str, Any] | None, file: str) -> Iterator[Diagnostic]:
     if isinstance(need, ExternType):
         if found is None or not found["class"]:
-            help = f"write a dataclass or msgspec.Struct `class {need.name}:` whose fields all have defaults"
+            help = f"write `class {need.name}:`, a dataclass or msgspec.Struct whose fields all have default values"
             yield _wrong(f"{file} has no class {need.name}", need.span, help)
         elif found["flaw"]:
-            help = "a dataclass or msgspec.Struct is wanted that can be made without arguments"
-            yield _wrong(f"the class {need.name} in {file} serves no extern type: {found['flaw']}", need.span, help)
+            help = "write it as a dataclass or msgspec.Struct whose fields all have default values"
+            message = f"the class {need.name} in {file} cannot be an extern type: {found['flaw']}"
+            yield _wrong(message, need.span, help)
         return
     wanted = [parameter.name for parameter in need.parameters]
     form = f"def {need.name}({', '.join(map(_python, wanted))})"
     if found is None or found["class"]:
-        yield _wrong(f"{file} has no function {need.name}", need.span, f"write `{form}:` there")
+        yield _wrong(f"{file} has no function {need.name}", need.span, f"write `{form}:` in {file}")
         return
     names = found["parameters"][: len(wanted)]
     fits = found["any"] or (len(names) == len(wanted) and found["required"] <= len(wanted))
     if not fits or any(a.rstrip("_") != b.rstrip("_") for a, b in zip(names, wanted, strict=False)):
         taken = ", ".join(found["parameters"])
-        yield _wrong(
-            f"{need.name} takes ({taken}) in {file}, not ({', '.join(wanted)})", need.span, f"write `{form}:` there"
-        )
+        message = f"{need.name} has the parameters ({taken}) in {file}, but ({', '.join(wanted)}) in the program"
+        yield _wrong(message, need.span, f"write `{form}:` in {file}")
 
 
 def _python(name: str) -> str:

@@ -1,4 +1,4 @@
-"""What goes into each bundle: pure, from a checked program, targets and a fleet to a dict of path -> bytes."""
+"""Plan of bundles: a pure function from a checked program, targets and a fleet to the files of each bundle."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
-from koordgen.build.bundle.calls import planner_budget
+from koordgen.build.bundle.port_calls import planner_budget
 from koordgen.build.bundle.write import SUMS, sums
 from koordgen.build.emit.program import functions_module, interface_hash, program_hash, program_text
 from koordgen.build.emit.property import has_properties, properties_text
@@ -19,22 +19,24 @@ from koordgen.fleet.manifest import Target
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.node import Node
 
-if TYPE_CHECKING:  # reading YAML costs too much for builds that have no fleet
+if TYPE_CHECKING:  # importing YAML costs too much for builds without a fleet file
     from koordgen.fleet.file import Fleet
-    from koordgen.fleet.robots import Robot
+    from koordgen.fleet.robots import FleetRobot
 
 Files = dict[str, bytes]
-# In each bundle of a fleet, the name of what was built together: agents of other releases are not listened to.
+# File in each bundle of a fleet with the name of its release. An agent ignores agents of other releases.
 RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
 ZENOH = "eclipse-zenoh>=1.10"
-# In every bundle and every run's folder: the source and params that a replay of its traces needs.
+# In every bundle and in every run's folder: source and params, which a replay of traces needs.
 SOURCE, PARAMS = "source", "params.json"
 
 
 class Ingredients(Node):
-    """All that a plan is made from, read beforehand. `common` are the files that every bundle holds, `target_files`
-    those of each target by its name, `beside` the user's own Python, all by their path inside a bundle; `params` are
-    values that were given."""
+    """Inputs of a plan, read from disk beforehand. Files are keyed by their path in a bundle.
+
+    `common`: files of every bundle. `target_files`: files of each target, by its name. `beside`: the user's own Python
+    files. `params`: values of params that replace their defaults.
+    """
 
     program: Program
     source: bytes
@@ -47,8 +49,11 @@ class Ingredients(Node):
 
 
 def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
-    """Bundle name -> relative path -> bytes, for the targets named in `wanted`: with a fleet one bundle a robot,
-    the harnesses that were asked for, and `fleet`; without one, one bundle a target."""
+    """Return bundle name -> relative path -> bytes, for the targets named in `wanted`.
+
+    With a fleet: one bundle for each robot, one for each harness in `wanted`, and `fleet`. Without a fleet: one bundle
+    for each target.
+    """
     text = program_text(these.program, _functions(these)).encode()
     agents = {t.name: t for t in these.targets if t.kind == "agent"}
     harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
@@ -67,7 +72,7 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     return bundles
 
 
-def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None) -> Files:
+def _agent(these: Ingredients, target: Target, text: bytes, robot: FleetRobot | None) -> Files:
     module, _, name = target.entry.partition(":")
     program, fleet = these.program, these.fleet
     values = {
@@ -102,8 +107,10 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: Robot | None)
 
 
 def _release(parts: Mapping[str, Files]) -> bytes:
-    """The name of what is built together: a digest of the files of all robots, whichever of them are asked for, so that
-    a fleet's robots have equal names just when they come from the same program, fleet file, params and version."""
+    """Return the name of the release: a digest of the files of all robots, even of those that are not built now.
+
+    Robots have equal names exactly if they come from the same program, fleet file, params and version.
+    """
     digest = sha256()
     for name, files in sorted(parts.items()):
         digest.update(f"{name}\n".encode() + sums(files))
@@ -115,14 +122,14 @@ def _functions(these: Ingredients) -> bytes:
 
 
 def _properties(these: Ingredients) -> Files:
-    """The file of the program's properties, if it has any."""
+    """Return `properties.py` if the program has properties or port assumptions."""
     if not has_properties(these.program):
         return {}
     return {"properties.py": properties_text(these.program, these.fleet.drivers if these.fleet else ()).encode()}
 
 
 def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
-    """(module of the program, Python module, class) of each driver that agents need."""
+    """Return (module of the program, Python module, class) of each driver that agents need."""
     named = these.fleet.drivers if these.fleet else {}
     return [(m.name, named[m.name].module, named[m.name].name) for m in these.program.modules if m.name in named]
 
@@ -161,7 +168,7 @@ def _finished(files: Files) -> Files:
 
 
 def _requirements(fleet: Fleet | None, *targets: Target) -> bytes:
-    """`fleet`: whose network the robots use; the simulator's is always the loopback."""
+    """Return `requirements.txt`. `fleet`: the fleet whose network the robots use; None in a simulator (loopback)."""
     lines = dict.fromkeys(line for target in targets for line in target.requirements)
     if fleet is not None and fleet.network["transport"] == "zenoh":
         lines[ZENOH] = None
@@ -173,7 +180,7 @@ def _json(value: Any) -> bytes:
 
 
 def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, Any]:
-    """What all robots of the fleet share."""
+    """Return the values that all robots of the fleet have in common."""
     return {
         "app": program.name,
         "program_hash": program_hash(program, functions),
@@ -187,8 +194,8 @@ def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, 
     }
 
 
-def settings(program: Program, fleet: Fleet, robot: Robot) -> dict[str, Any]:
-    """One robot's `settings.json`, as koordgen/runtime/config/settings.py reads it."""
+def settings(program: Program, fleet: Fleet, robot: FleetRobot) -> dict[str, Any]:
+    """Return the content of one robot's `settings.json`, which koordgen/runtime/config/settings.py reads."""
     facts = _facts(program, fleet)
     shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}
     return {
@@ -235,7 +242,7 @@ def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, An
 
 
 def store_facts(program: Program) -> dict[str, Any]:
-    """Return the shared variables and record types, as a scenario and the header of a run's trace have them."""
+    """Return the shared variables and record types in the form of a scenario and of the header of a run's trace."""
     return {
         "shared": [{"name": v.name, "kind": v.kind, "type": str(v.type)} for v in program.shared],
         "records": {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in program.records},
@@ -251,8 +258,10 @@ def read_ingredients(
     beside: Mapping[str, Path] = MappingProxyType({}),
     params: Mapping[str, Any] = MappingProxyType({}),
 ) -> Ingredients:
-    """Reads every file that is copied whole. `package` is the koordgen package itself; `beside` are the user's own
-    files by their path inside a bundle."""
+    """Read all files that are copied into bundles.
+
+    `package`: folder of the koordgen package. `beside`: the user's own files, by their path in a bundle.
+    """
     common = {"koordgen/__init__.py": (package / "__init__.py").read_bytes()}
     common.update(_folder(package / "runtime", "koordgen/runtime"))
     own = {path: file.read_bytes() for path, file in beside.items()}
@@ -268,6 +277,6 @@ def _target_files(target: Target) -> Files:
 
 
 def _folder(folder: Path, prefix: str) -> Files:
-    """Python, C that is compiled on the robot, what pages are made of, and the licences of other people's code."""
+    """Read the Python, C (compiled on the robot) and web files and the third-party licences of a folder."""
     found = (p for kind in ("*.py", "*.c", "*.js", "*.css", "LICENSE") for p in sorted(folder.rglob(kind)))
     return {f"{prefix}/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in found}

@@ -1,7 +1,7 @@
-"""Looks at a user's Python file without running it in this process: what it offers, or why it cannot be imported.
+"""Inspection of a user's Python file in a child process: its functions and classes, or the error of its import.
 
-As a script it is the child: it imports one file and writes what it found as JSON. Whatever the file does at its
-import (prints, raises, exits, never ends) stays there.
+Run as a script, this module is the child: it imports one file and writes the result as JSON. So effects of the import
+(output, exceptions, exit, an endless loop) do not reach the compiler.
 """
 
 from __future__ import annotations
@@ -14,29 +14,30 @@ from pathlib import Path
 from typing import Any
 
 TIMEOUT = 10.0  # seconds
-METHODS = ("sense", "command", "call", "plan")  # of a class, that are asked about
-METHODS = ("sense", "command", "call", "plan")  # of a class, that are asked about
+METHODS = ("sense", "command", "call", "plan")  # methods of drivers and planners; the child reports which a class has
 
 
-class Unusable(Exception):
-    """A file that cannot be imported; the message says why, without the file's name."""
+class NotImportable(Exception):
+    """Raised for a file that cannot be imported. The message gives the reason, without the file's name."""
 
 
 def look(file: Path, root: Path, names: list[str]) -> dict[str, dict[str, Any] | None]:
-    """What `file` offers under these names, None where there is nothing; see `_described`. Dotted imports in it begin
-    at `root`. Raises Unusable."""
+    """Return the description (see `_described`) of each of these names in `file`; None for a missing name.
+
+    Dotted imports of the file begin at `root`. Raises NotImportable.
+    """
     package = Path(__file__).resolve().parents[3]
     command = [sys.executable, "-B", __file__, str(file), str(root), str(package), *names]
     try:
         done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIMEOUT)
     except subprocess.TimeoutExpired:
-        raise Unusable(f"its import did not end within {TIMEOUT:.0f} s") from None
+        raise NotImportable(f"its import did not end within {TIMEOUT:.0f} s") from None
     try:
         found = json.loads(done.stdout)
     except ValueError:
-        raise Unusable(f"its import ended the process (status {done.returncode})") from None
+        raise NotImportable(f"its import ended the process (status {done.returncode})") from None
     if "error" in found:
-        raise Unusable(found["error"])
+        raise NotImportable(found["error"])
     offered: dict[str, dict[str, Any] | None] = found["offers"]
     return offered
 
@@ -45,20 +46,20 @@ def _main(file: str, root: str, package: str, names: list[str]) -> None:
     import importlib.util
 
     answer = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what the file prints goes elsewhere
-    sys.path[:1] = [root, package]  # instead of this script's own folder
+    os.dup2(2, 1)  # output of the file goes to stderr
+    sys.path[:1] = [root, package]  # replaces the folder of this script
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look there
+    sys.modules[spec.name] = module  # dataclasses need the entry
     try:
         spec.loader.exec_module(module)
         found: dict[str, Any] = {"offers": {name: _described(getattr(module, name, None)) for name in names}}
-    except BaseException as error:  # SystemExit above all
+    except BaseException as error:  # also SystemExit
         found = {"error": f"{type(error).__name__}: {error}{_where(error, file)}"}
     json.dump(found, answer)
     answer.close()
-    os._exit(0)  # not the file's threads and exit handlers
+    os._exit(0)  # without waiting for the file's threads, and without its exit handlers
 
 
 def _where(error: BaseException, file: str) -> str:
@@ -70,8 +71,14 @@ def _where(error: BaseException, file: str) -> str:
 
 
 def _described(thing: Any) -> dict[str, Any] | None:
-    """Of a function `parameters`, its names by position, how many are `required`, and whether it takes `any` number;
-    of a class `flaw`, why no value of it can be made and packed, and its tables and methods."""
+    """Describe a function or class as JSON values; None for other objects.
+
+    parameters: names of the positional parameters.
+    required: number of parameters without a default; 1000 more for each keyword-only one, which no call can give.
+    any: True if it takes any number of positional arguments.
+    Classes only: `class` is True; `sensors` and `actuators`, None if not a dict of texts; `methods`, those of METHODS;
+    `flaw`, the reason why a value cannot be constructed and packed, or "".
+    """
     import inspect
 
     if not callable(thing):
@@ -79,7 +86,7 @@ def _described(thing: Any) -> dict[str, Any] | None:
     found: dict[str, Any] = {"class": isinstance(thing, type)}
     try:
         parameters = inspect.signature(thing).parameters.values()
-    except (ValueError, TypeError):  # made in C: nothing is known of its parameters
+    except (ValueError, TypeError):  # written in C: its parameters are unknown
         return {**found, "parameters": [], "required": 0, "any": True}
     by_position = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     found["parameters"] = [p.name for p in by_position]
@@ -101,7 +108,7 @@ def _flaw(cls: type) -> str:
 
     try:
         packing: Any = importlib.import_module("msgspec.msgpack")
-    except ModuleNotFoundError:  # a host that builds and never runs
+    except ModuleNotFoundError:  # this computer builds bundles but cannot run them
         return ""
     try:
         packing.decode(packing.encode(cls()), type=cls)

@@ -1,7 +1,7 @@
-"""Write planned bundles to disk: beside the old ones first, then by rename; what is not ours is never touched.
+"""Writing of bundles: first into a staging folder, then into place by rename. The user's files are never replaced.
 
-A folder is ours when its SHA256SUMS begins with our mark and accounts for everything in it, unchanged: then nothing of
-the user's can be lost by replacing it. Byte code of our own files counts as ours, and so does nothing else.
+A folder may be replaced if its SHA256SUMS begins with MARK and lists every file in it with its present digest: then the
+user cannot lose anything. Only Python's byte code of listed files may be there in addition.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pathlib import Path, PurePosixPath
 
 SUMS = "SHA256SUMS"
 MARK = "# written by koordgen; a build replaces this folder while nothing in it is changed or added"
-STAGING = ".building-"  # and the number of the process
+STAGING = ".building-"  # prefix; the process id follows
 
 
 class CannotWrite(Exception):
-    """The output folder cannot be written: the message names the path and the reason, `hint` the way out."""
+    """Raised if the output folder cannot be written. The message has path and reason, `hint` what to do."""
 
     def __init__(self, message: str, hint: str) -> None:
         super().__init__(message)
@@ -28,19 +28,21 @@ class CannotWrite(Exception):
 
 
 class Foreign(CannotWrite):
-    """The output folder holds something that koordgen did not write, or that was changed since."""
+    """Raised if the output folder has files that koordgen did not write, or that were changed afterwards."""
 
 
 def sums(files: Mapping[str, bytes]) -> bytes:
-    """The text of SHA256SUMS for a bundle's files, as `sha256sum -c` reads it: that takes our mark for a comment."""
+    """Return the content of SHA256SUMS for these files. `sha256sum -c` reads it, and takes MARK for a comment."""
     lines = [f"{sha256(data).hexdigest()}  {path}\n" for path, data in sorted(files.items())]
     return "".join([f"{MARK}\n", *lines]).encode()
 
 
 def write(bundles: Mapping[str, Mapping[str, bytes]], folder: Path) -> None:
-    """Write each bundle (name -> relative path -> bytes) as `folder/<name>/`, all or none; one that stands there
-    already, byte for byte, is left as it is. Raises Foreign before anything was written, CannotWrite when the disk
-    refuses."""
+    """Write each bundle (name -> relative path -> bytes) as `folder/<name>/`: all bundles or none.
+
+    A bundle that is already there with equal bytes is not written again. Raises Foreign before anything is written, and
+    CannotWrite after an error of the disk.
+    """
     _sweep(folder)
     standing = {name: _must_be_ours(folder / name) for name in bundles}
     bundles = {name: files for name, files in bundles.items() if files[SUMS] != standing[name]}
@@ -48,7 +50,7 @@ def write(bundles: Mapping[str, Mapping[str, bytes]], folder: Path) -> None:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        staging = folder / f"{STAGING}{os.getpid()}"  # not tempfile: it would cost as much as all our own imports
+        staging = folder / f"{STAGING}{os.getpid()}"  # importing tempfile would take as long as all our own imports
         staging.mkdir()
     except OSError as error:
         raise _refused(folder, error) from None
@@ -65,7 +67,8 @@ def write(bundles: Mapping[str, Mapping[str, bytes]], folder: Path) -> None:
 def _refused(folder: Path, error: OSError) -> CannotWrite:
     place = error.filename or folder
     return CannotWrite(
-        f"{place}: {error.strerror or error}", "nothing was changed; choose another folder with -o, or make room"
+        f"{place}: {error.strerror or error}",
+        "nothing was changed; make the folder writable, free space, or choose another folder with -o",
     )
 
 
@@ -78,7 +81,7 @@ def _fill(folder: Path, files: Mapping[str, bytes]) -> None:
         if parent not in made:
             os.makedirs(parent, exist_ok=True)
             made.add(parent)
-        descriptor = os.open(full, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)  # half the cost of `open`
+        descriptor = os.open(full, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)  # takes half the time of `open`
         try:
             if os.write(descriptor, data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), full)
@@ -87,7 +90,7 @@ def _fill(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _swap(staging: Path, folder: Path, names: list[str]) -> None:
-    """Renames are all that can fail here; if one does, those before it are undone."""
+    """Move the staged bundles into place by rename. If a rename fails, undo the earlier ones."""
     (staging / "old").mkdir()
     done: list[str] = []
     try:
@@ -105,7 +108,7 @@ def _swap(staging: Path, folder: Path, names: list[str]) -> None:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what builds that were killed have left, once an old bundle that one of them moved away is back."""
+    """Remove staging folders of builds that were killed, after moving old bundles in them back into place."""
     for staging in folder.glob(f"{STAGING}*"):
         number = staging.name.removeprefix(STAGING)
         if staging.is_symlink() or not number.isdecimal() or _runs(int(number)):
@@ -128,10 +131,13 @@ def _runs(process: int) -> bool:
 
 
 def _must_be_ours(folder: Path) -> bytes | None:
-    """The SHA256SUMS of a whole, unchanged bundle of ours; None when there is none or a file of it is missing.
-    Raises Foreign."""
+    """Return the SHA256SUMS of a complete bundle in `folder`; None if there is no bundle or a file of it is missing.
+
+    Raises Foreign if the folder has a file that koordgen did not write, or that was changed.
+    """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise Foreign(f"{folder}: in the way, and not written by koordgen", "move it away, or choose another -o")
+        message = f"{folder}: a bundle of this name is to be written, and koordgen did not write this file or link"
+        raise Foreign(message, "move it away, or choose another folder with -o")
     if not folder.is_dir():
         return None
     known = _known(folder)
@@ -140,21 +146,23 @@ def _must_be_ours(folder: Path) -> bytes | None:
         return None
     strange = sorted(path for path in found if path != SUMS and path not in known)
     if not known and SUMS in found:
-        strange = [SUMS]  # not ours, or of an earlier version
+        strange = [SUMS]  # the user's own, or of an earlier version of koordgen
     changed = sorted(p for p in known if p in found and sha256(found[p].read_bytes()).hexdigest() != known[p])
     for paths, what in ((strange, "not written by koordgen"), (changed, "changed since koordgen wrote it")):
         if paths:
             more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
             raise Foreign(
-                f"{folder / paths[0]}{more}: {what}, and building would replace {folder}",
-                "move what you need out of that folder and delete it, or choose another with -o",
+                f"{folder / paths[0]}{more}: {what}, and the build would replace {folder}",
+                "move the files that you need out of that folder and delete it, or choose another folder with -o",
             )
     return (folder / SUMS).read_bytes() if set(found) == {*known, SUMS} else None
 
 
 def _contents(folder: Path, known: Mapping[str, str]) -> Iterator[tuple[str, Path]]:
-    """All files and links below, and the empty folders in which no `known` file is to stand; without the byte code that
-    Python leaves when a bundle runs."""
+    """Yield the path of each file, link and unexpected empty folder in `folder`.
+
+    Left out: byte code that Python wrote for `known` files, and empty folders that belong to a `known` file.
+    """
     parents = {parent.as_posix() for path in known for parent in PurePosixPath(path).parents}
     for root, folders, names in os.walk(folder):
         place = Path(root).relative_to(folder)
@@ -168,7 +176,7 @@ def _contents(folder: Path, known: Mapping[str, str]) -> Iterator[tuple[str, Pat
 
 
 def _known(folder: Path) -> dict[str, str]:
-    """The digests of the files that koordgen wrote, by their paths."""
+    """Return the digests of the files that koordgen wrote, by their paths; empty without a SHA256SUMS with MARK."""
     try:
         mark, *listed = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):

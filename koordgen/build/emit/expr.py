@@ -1,16 +1,15 @@
 """IR expressions -> Python text, with no more parentheses than Python needs.
 
-Each name that is taken from the library or the program is noted (`Names.use`), and each operator that the head of the
-module explains.
+`Names.use` records each name of the library or the program, and each operator that the head of the module explains.
 """
 
 from __future__ import annotations
 
 from koordgen.build.emit import size
-from koordgen.build.emit.alone import tells_of_itself
 from koordgen.build.emit.floats import ANY, is_nonzero_literal, kind
 from koordgen.build.emit.layout import alternatives, brackets, chain, display, joined, longer
 from koordgen.build.emit.names import Names
+from koordgen.build.emit.own_instance import is_own_instance_enough
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
@@ -28,24 +27,24 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# Python's binding strengths, loosest first.
+# Python's binding strengths, weakest first.
 _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
 _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "//": _PRODUCT, "%": _PRODUCT}
-# Builtins that Python or the runtime's library calls something else. All others are functions of the same name.
+# Builtins with another name in Python or in the runtime's library. All others are functions of the same name.
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
-# Builtins that compare their arguments, or parts of them; `clear` and `path_distance` look for NaN themselves.
+# Builtins that compare their arguments, or parts of them. `clear` and `path_distance` check for NaN themselves.
 _COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
-# Builtins that go through their arguments; so do those that compare them.
+# Builtins that iterate over their arguments, as those of _COMPARING do.
 _SEARCHING = ("sum", "union", "intersection", "difference")
 
 
 def text(node: ir.Expr, names: Names) -> str:
-    """The Python expression for `node`, over a State called `s`."""
+    """Return the Python expression for `node`; the program's State is called `s` in it."""
     return _text(node, names)[0]
 
 
 def and_also(node: ir.Expr, last: str, names: Names) -> str:
-    """The Python expression for `node` with one more operand of `and` behind."""
+    """Return the Python expression `node and ...`; `last` is the second operand, with its `and`."""
     shown, strength = _text(node, names)
     if strength == _AND:
         return longer(shown, last)
@@ -53,7 +52,7 @@ def and_also(node: ir.Expr, last: str, names: Names) -> str:
 
 
 def domain(node: ir.Expr, names: Names) -> str:
-    """What a loop over `node` runs over in Python: of a Map its keys."""
+    """Return the Python iterable of a loop over `node`: for a Map, its keys."""
     match node:
         case ir.Range(ir.Const(0), stop, 1):
             return _call_of("range", text(stop, names))
@@ -74,12 +73,12 @@ def _call_of(function: str, *args: str) -> str:
 def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
     match node:
         case ir.Const(value):
-            # A negative literal binds as a sign does: -1 ** 2 and (-1).x are other things.
+            # A negative literal binds as a sign does: -1 ** 2 is -(1 ** 2), and -1 .x is -(1 .x).
             negative = isinstance(value, (int, float)) and value < 0
             return literal(value), _SIGN if negative else _ATOM
         case ir.Widen(ir.Const(value)):
             return repr(float(value)), _ATOM
-        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # -0 is 0, and no -0.0
+        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # the int -0 is 0, not -0.0
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return _call_of("float", text(operand, names)), _ATOM
@@ -101,7 +100,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if strength == own:
                 return longer(shown, last), own
             return chain(shown if strength > own else brackets("(", [shown], ")"), last), own
-        case ir.Compare(op, left, right) if left.type == STRING:  # as fast as a turn, however long they are
+        case ir.Compare(op, left, right) if left.type == STRING:  # no slower than a turn, whatever the length
             return _infix(_within(left, names, _SUM), op, _within(right, names, _SUM)), _COMPARE
         case ir.Compare(op, left, right):
             return _infix(_compared(left, names), op, _compared(right, names)), _COMPARE
@@ -126,7 +125,7 @@ def _infix(left: str, op: str, right: str) -> str:
 
 
 def _checked(node: ir.Binary, names: Names) -> str:
-    """An operation whose size the runtime looks at."""
+    """Return an operation with a check of the result's size at run time."""
     looks = names.use(size.checked(node))
     if looks == "made":
         last = joined(f"{node.op} ", _within(node.right, names, _PRODUCT))
@@ -135,8 +134,10 @@ def _checked(node: ir.Binary, names: Names) -> str:
 
 
 def change(node: ir.Expr, names: Names) -> str:
-    """Return ` += value` and the like for an operation that Python's operator alone carries out; empty for others. It
-    does the same as the operation assigned to its left operand: no value is changed in place."""
+    """Return ` += value` and the like if Python's operator alone does the operation; else "".
+
+    The effect is that of assigning the operation to its left operand: no value is changed in place.
+    """
     if not isinstance(node, ir.Binary) or node.op == "**" or size.checked(node):
         return ""
     _explain(node, names)
@@ -144,7 +145,7 @@ def change(node: ir.Expr, names: Names) -> str:
 
 
 def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
-    """Note an operator that the head of the module explains."""
+    """Record an operator that the head of the module explains."""
     if node.type == INT and node.op in ("+", "-", "*") and not size.is_small(node):
         names.use("+")
     if node.op in ("//", "%") or (node.op == "/" and not is_nonzero_literal(node.right)):
@@ -152,22 +153,26 @@ def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
 
 
 def _quantified(node: ir.Quantified, names: Names) -> str:
-    """Of what is known of a fleet, which may leave the truth open, and tells what made it false."""
+    """Return the call for a quantifier of a property.
+
+    A robot knows only a part of the fleet's state, so the truth value may stay open. The methods of `s` also record
+    which robot or value made the formula false.
+    """
     every = "every" if node.kind == "forall" else "some"
     others = () if isinstance(node.domain, ir.Ids) or _names_a_robot(node.name, node.body) else ("robots=False",)
     body = joined(f"lambda {names.temp(node.name)}: ", text(node.body, names))
-    if tells_of_itself(node):
+    if is_own_instance_enough(node):
         return _call_of("s.own", literal(node.name), body)
     return _call_of(f"s.{every}", literal(node.name), _counted(node.domain, names), body, *others)
 
 
 def _counted(over: ir.Expr, names: Names) -> str:
-    """The domain of a quantifier: each of its values costs a turn, unless they are the robots."""
+    """Return the domain of a quantifier. Each of its values costs a turn, except for `ID`."""
     return domain(over, names) if isinstance(over, ir.Ids) else _call_of(names.use("turns"), domain(over, names))
 
 
 def _names_a_robot(name: str, body: ir.Expr) -> bool:
-    """Whether a temp is the index of a robot somewhere in an expression."""
+    """Return whether the temp `name` is used as the index of a robot in an expression."""
     for node in walk(body):
         match node:
             case ir.LocalOf(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)) | ir.SlotRead(_, ir.TempRead(at)):
@@ -179,8 +184,11 @@ def _names_a_robot(name: str, body: ir.Expr) -> bool:
 
 
 def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
-    """An operand of a comparison: a value that may have NaN in it goes through a function that raises for one. Of a
-    region, the values that it is made of do. A large one takes turns."""
+    """Return an operand of a comparison.
+
+    A value that may contain NaN is passed through a function that raises for NaN; for a region, the values that it is
+    constructed from are. A large value costs turns.
+    """
     if kind(node, names.floats) == ANY:
         looks = names.use("no_nan" if node.type == FLOAT else "no_nan_in")
         return _call_of(looks, _searched(node, names, _CONDITIONAL))
@@ -188,16 +196,16 @@ def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
 
 
 def _searched(node: ir.Expr, names: Names, least: int) -> str:
-    """A value that is gone through: one that may have many elements takes turns."""
+    """Return a value over which the runtime iterates; one that may have many elements costs turns."""
     looks = size.looks(node, names.floats)
     return _call_of(names.use(looks), text(node, names)) if looks else _within(node, names, least)
 
 
 def literal(value: int | float | bool | str) -> str:
-    """A constant; strings in double quotes, as the rest of the program has them."""
+    """Return a constant as Python text; strings have double quotes, as in the rest of the module."""
     if not isinstance(value, str):
         return repr(value)
-    inner = repr('"' + value)[2:-1]  # a double quote inside makes repr choose single ones around
+    inner = repr('"' + value)[2:-1]  # repr encloses a string with a double quote in single quotes
     return '"' + inner.replace("\\'", "'").replace('"', '\\"') + '"'
 
 
@@ -269,7 +277,7 @@ def _call(node: ir.Expr, names: Names) -> str:
             return _call_of(names.use(names.externs[name]), *_args(args, names))
         case ir.PortCall(module, port, args):
             return _call_of(f"s.{names.ports[module, port]}", *_args(args, names))
-        case _:  # a Range that nothing runs over
+        case _:  # a Range outside of a loop or quantifier
             raise InternalError(f"a {type(node).__name__} has no place in an event")
 
 
@@ -316,13 +324,13 @@ def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
     if name == "cleared":
         if isinstance(args[0], (ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead)):
             return "()"
-        return joined(_within(args[0], names, _ATOM), "[:0]")  # `m[k].clear()`: there may be no such key
+        return joined(_within(args[0], names, _ATOM), "[:0]")  # evaluates `m[k]`, whose key may be missing
     if name == "count":
         counted, item = _compared(args[0], names, _ATOM), _compared(args[1], names, _CONDITIONAL)
         return joined(counted, _call_of(".count", item))
     given = [_argument(arg, name, names) for arg in args]
     match name:
-        case "items":  # a map is its pairs
+        case "items":  # a map is the tuple of its pairs
             return given[0]
         case "sorted" | "reversed":
             return _call_of(names.use("made"), _call_of("tuple", _call_of(name, *given)))

@@ -1,7 +1,7 @@
-"""Which floats may be NaN where generated code compares them: only those are checked on robots.
+"""NaN analysis: finds the floats that may be NaN where generated code compares them.
 
-Everything that is kept or sent is finite, so a variable, port or param is finite until the event itself writes to it.
-One operation on finite numbers may overflow to infinity, but never yields NaN:
+Only these are checked at run time. Stored and sent values are finite, so a variable, port or param is finite until the
+event itself writes it. One operation on finite numbers may overflow to infinity, but does not yield NaN:
 
     distance(Motion.position, x[i]) < eps         needs no check
     a * b - c * d < eps                           needs one: infinity minus infinity
@@ -18,19 +18,21 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import INT
 from koordgen.lang.ir.types import Sequence as SequenceOf
 
-FINITE, NUMBER, ANY = range(3)  # NUMBER: not NaN. Of a value with parts: what holds of all floats in it
+FINITE, NUMBER, ANY = range(3)  # NUMBER: finite or infinite, not NaN. For a value with parts: the worst of its floats
 
 Kinds = Mapping[stmt.Place, int]
 NOTHING_WRITTEN: Kinds = {}
 
-_TO_FINITE = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2")  # they raise, or bring infinity to an angle
+_TO_FINITE = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2")  # for infinity they raise or return an angle
 _LIKE_DIFFERENCES = ("distance", "center")
 _ALWAYS_FINITE = ("cell", "GridMap", "merge", "mark_free", "mark_occupied")
 
 
 def kinds(block: stmt.Block, parameters: tuple[str, ...] = ()) -> Kinds:
-    """Return what each place that a block writes may hold within it, whatever the order of its statements. Parameters,
-    and temps that the block does not declare, may hold anything."""
+    """Return the kind of float that each place written by a block may hold, for any order of its statements.
+
+    Parameters, and temps that the block does not declare, are ANY.
+    """
     writes = list(_writes(block))
     found = {place: FINITE for place, _ in writes} | {stmt.TempPlace(name): ANY for name in parameters}
     changed = True
@@ -63,7 +65,7 @@ def _writes(block: stmt.Block) -> Iterator[tuple[stmt.Place, ir.Expr]]:
 
 
 def kind(node: ir.Expr, known: Kinds) -> int:
-    """Return what the floats in a value may be, given what the places that were written may hold."""
+    """Return the kind of the floats in a value. `known`: kinds of the places that the block writes."""
     if not with_floats(node.type):
         return FINITE
     match node:
@@ -98,13 +100,13 @@ def _worst(parts: Sequence[ir.Expr], known: Kinds) -> int:
 
 
 def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
-    """Operands are numbers or Points, or lists that are joined."""
+    """Return the kind of a result. Operands are numbers, Points, or lists that are concatenated."""
     first, second = kind(left, known), kind(right, known)
     match op:
         case "+" if isinstance(left.type, SequenceOf):
             return max(first, second)
         case "/" if left.type == INT and right.type == INT:
-            return FINITE  # it raises
+            return FINITE  # an overflow raises
         case "+" | "-" | "/":
             return _NUMBER_UNLESS_TWICE[first + second]
         case "*" if first + second == NUMBER and not (is_nonzero_literal(left) or is_nonzero_literal(right)):
@@ -113,11 +115,11 @@ def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
             return _NUMBER_UNLESS_TWICE[first + second]
         case "//":
             return NUMBER if first + second == FINITE else ANY
-        case _:  # %, and ** raises
+        case _:  # %, and **, which raises for an overflow
             return FINITE if first + second == FINITE else ANY
 
 
-# By the sum of the operands' kinds: infinities meet where there are two that may be.
+# Indexed by the sum of two kinds: infinity minus infinity is possible only if both operands may be infinite.
 _NUMBER_UNLESS_TWICE = (NUMBER, NUMBER, ANY, ANY, ANY)
 
 
@@ -130,9 +132,9 @@ def is_nonzero_literal(node: ir.Expr) -> bool:
 def _of_builtin(name: str, args: tuple[ir.Expr, ...], known: Kinds) -> int:
     worst = _worst(args, known)
     match name:
-        case "min" | "max" | "sorted":  # these compare
+        case "min" | "max" | "sorted":  # they compare, so they raise for NaN
             return min(worst, NUMBER)
-        case "path_distance":  # it raises
+        case "path_distance":  # it raises for NaN
             return NUMBER
         case "sum":
             return NUMBER if worst == FINITE else ANY
@@ -142,12 +144,12 @@ def _of_builtin(name: str, args: tuple[ir.Expr, ...], known: Kinds) -> int:
             return ANY if worst == ANY else FINITE
         case _ if name in _ALWAYS_FINITE:
             return FINITE
-        case _:  # Point, abs, sqrt, appended, first, ...: what the arguments are
+        case _:  # Point, abs, sqrt, appended, first, ...: the kind of the worst argument
             return worst
 
 
 def may_meet_nan(formula: ir.Expr) -> bool:
-    """Return whether a comparison in a formula may meet NaN, where everything that it reads is finite."""
+    """Return whether a comparison in a formula may meet NaN although all values that the formula reads are finite."""
     for node in walk(formula):
         match node:
             case ir.Compare(_, left, right) if _worst((left, right), NOTHING_WRITTEN) == ANY:

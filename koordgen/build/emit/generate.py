@@ -1,5 +1,4 @@
-"""Compiles the templates ahead: `python -m koordgen.build.emit.generate`, with `--check` only telling whether that is
-due."""
+"""Compiler of the templates: `python -m koordgen.build.emit.generate`. `--check` only reports stale files."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from koordgen.lang import resources
 
 
 def compiled() -> dict[Path, str]:
-    """Every template as a Python module, by the path it belongs at."""
+    """Return every template as the text of a Python module, by the path of that module."""
     env = environment()
     folder = resources.generated_templates()
     files = {folder / "__init__.py": '"""Made by `make generated` from templates/; not written by hand."""\n'}

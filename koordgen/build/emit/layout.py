@@ -1,11 +1,11 @@
-"""Layout of generated Python: expressions that remember where they may be broken, and the lines of a module.
+"""Layout of generated Python: expressions that record where lines may be broken, and the lines of a module.
 
-s.local_where.value = cell(my_here, PARAM_SIZE)      where it fits into WIDTH columns
+s.local_where.value = cell(my_here, PARAM_SIZE)      if it fits into WIDTH columns
 
-s.local_where.value = nearest_of_all(                where the parts between brackets fit into one line
+s.local_where.value = nearest_of_all(                if the parts between the brackets fit into one line
     my_here, my_others, PARAM_SIZE
 )
-s.local_where.value = (                              else part by part
+s.local_where.value = (                              otherwise one line for each part
     first(my_others)
     + last(my_others)
 )
@@ -15,41 +15,43 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-WIDTH = 100  # columns of a generated line, where the parts of an expression allow it
+WIDTH = 100  # columns of a generated line; a part that cannot be broken may exceed it
 STEP = "    "
-_DEEPEST = 12  # steps that brackets are broken into: Python reads no more than 200 nested ones, and each may add one
+_DEEPEST = 12  # levels of broken brackets: each may add a pair, and Python reads at most 200 nested ones
 
 
 class _Code(str):
-    """Text of an expression in one line, and its parts. Formatting gives a plain str, which is never broken."""
+    """Text of an expression in one line, with its parts. Formatting yields a plain str, which is never broken."""
 
     __slots__ = ("parts",)
     parts: Sequence[str]
 
 
 class _Brackets(_Code):
-    """An opening bracket with what stands before it, parts, and a closing bracket."""
+    """Text up to an opening bracket, parts, and a closing bracket."""
 
     __slots__ = ("comma", "dense")
-    comma: bool  # whether parts end in commas where there are several lines of them
-    dense: bool  # whether a line has as many parts as fit
+    comma: bool  # if broken, each part ends with a comma
+    dense: bool  # if broken, a line has as many parts as fit
 
 
 class _Chain(_Code):
-    """Parts that may stand in lines of their own between brackets: operands, each after its operator."""
+    """Operands, each with the operator before it; between brackets each may have a line of its own."""
 
     __slots__ = ()
 
 
 class _Sequence(_Code):
-    """Parts that follow each other; lines are broken inside of them only."""
+    """Adjacent parts; a line may be broken inside a part, never between two parts."""
 
     __slots__ = ()
 
 
 def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = False) -> str:
-    """Return `f(a, b)`, `(a, b)`, `[a, b]`: `opening` is all up to the bracket. `dense`: where it is broken, a line has
-    as many items as fit."""
+    """Return `f(a, b)`, `(a, b)` or `[a, b]`.
+
+    `opening`: the text up to and with the opening bracket. `dense`: if it is broken, a line has as many items as fit.
+    """
     if not items:
         return f"{opening}{closing}"
     found = _Brackets(f"{opening}{', '.join(items)}{closing}")
@@ -67,26 +69,29 @@ def display(items: Sequence[str]) -> str:
 
 
 def chain(*parts: str) -> str:
-    """Return operands with spaces between."""
+    """Return operands with spaces between them."""
     found = _Chain(" ".join(parts))
     found.parts = parts
     return found
 
 
 def longer(first: str, last: str) -> str:
-    """Return a chain with one more operand, behind an operator that binds as those in `first` do, if it is a chain."""
+    """Return `first` with one more operand at its end.
+
+    If `first` is a chain, its operators must bind as strongly as that of `last`.
+    """
     return chain(*first.parts, last) if isinstance(first, _Chain) else chain(first, last)
 
 
 def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
-    """Return `a if b else c` from the parts `a` and `if b`. `more`: `otherwise` is such an expression, too."""
+    """Return `a if b else c` from the parts `a` and `if b`. `more`: `otherwise` is a conditional expression, too."""
     if more and isinstance(otherwise, _Chain):
         return chain(*parts, joined("else ", otherwise.parts[0]), *otherwise.parts[1:])
     return chain(*parts, joined("else ", otherwise))
 
 
 def joined(*parts: str) -> str:
-    """Return parts that follow each other without spaces."""
+    """Return the parts, concatenated without spaces."""
     text = "".join(parts)
     if not any(isinstance(part, _Code) for part in parts):
         return text
@@ -96,13 +101,13 @@ def joined(*parts: str) -> str:
 
 
 class Page:
-    """The lines of a module, or of a part of one, each with its line in the Koord program; 0 where it has none."""
+    """Lines of a module, or of a part of one, each with its line number in the Koord program, or 0."""
 
     def __init__(self) -> None:
         self.lines: list[tuple[str, int]] = []
 
     def add(self, code: str = "", indent: str = "", line: int = 0) -> None:
-        """Add code, in as many lines as its width needs. The first of them names `line`."""
+        """Add code, broken into as many lines as needed. A comment in the first one names `line`."""
         mark = f"  # line {line}" if line else ""
         if len(indent) + len(code) + len(mark) <= WIDTH:
             self.lines.append((f"{indent}{code}{mark}" if code else "", line))
@@ -118,8 +123,11 @@ class Page:
 
 
 def _put(lines: list[str], code: str, indent: int, tail: int, bare: bool) -> None:
-    """Write code behind the last line. `tail`: of the last line that it makes, columns that are needed for what
-    follows. `bare`: it stands between brackets by itself, in a line that is empty yet."""
+    """Append code to the last line, broken if necessary.
+
+    `tail`: columns to keep free in its last line, for the text that follows. `bare`: it stands alone between brackets,
+    and the last line is still empty.
+    """
     if not isinstance(code, _Code) or len(lines[-1]) + len(code) + tail <= WIDTH:
         lines[-1] += code
     elif isinstance(code, _Brackets):
@@ -164,7 +172,7 @@ def _put_brackets(lines: list[str], code: str, indent: int) -> None:
 
 
 def _needed(parts: Sequence[str], tail: int) -> int:
-    """Return how many columns the parts need, and what follows them, up to the first bracket that may be broken."""
+    """Return the columns needed for the parts and `tail`, up to the first bracket that may be broken."""
     columns = 0
     for part in parts:
         if isinstance(part, _Code):
@@ -174,7 +182,10 @@ def _needed(parts: Sequence[str], tail: int) -> int:
 
 
 def line_map(head: Page, body: Page, path: str) -> Page:
-    """Return the table of the lines of the program, which faults are told by, for a module that begins with these."""
+    """Return the table from lines of the module to lines of the program. Error messages at run time use it.
+
+    The module begins with `head` and `body`.
+    """
     page = Page()
     page.add(f"# Line of this file: line of {path}.")
     numbered = enumerate([*head.lines, *body.lines], 1)
@@ -184,5 +195,5 @@ def line_map(head: Page, body: Page, path: str) -> Page:
 
 
 def text(*pages: Page) -> str:
-    """Return the text of the pages, one after the other."""
+    """Return the text of the pages, concatenated."""
     return "".join([f"{line}\n" for page in pages for line, _ in page.lines])

@@ -1,5 +1,4 @@
-"""What generated programs import, and what the head of a module explains: where Python could be taken to do something
-else than Koord."""
+"""Library of generated programs: their imports, and the comments that explain its functions at the head of a module."""
 
 from __future__ import annotations
 
@@ -7,7 +6,7 @@ from collections.abc import Container
 
 from koordgen.build.emit.layout import WIDTH, Page, brackets
 
-# In the order in which they are imported.
+# Modules in the order of their imports.
 _MODULES: dict[str, tuple[str, ...]] = {
     "math": ("acos", "asin", "atan", "atan2", "ceil", "cos", "exp", "floor", "log", "sin", "sqrt", "tan"),
     "typing": ("Annotated", "Any"),
@@ -44,32 +43,32 @@ _CHANGES = (
     "set_with", "set_without",
 )  # fmt: skip
 _SORTED = ("set_of", "map_of", "map_at", "map_get", "keys", "values", "has_key", "union", "intersection", "difference")
-# Names, and marks of operators (`expr.py`), with what is said of them where a module has one: what is shown, how it is
-# meant. In generated code, so short: what is "discarded" there is the event, as a whole.
+# Names, and marks of operators (`expr.py`); an example and its explanation, for modules that use one of them. The
+# texts stand in generated code, so they are short. "Discards the event": the whole event has no effect.
 _NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("+",), "a + b", "of ints has no overflow; more than 64 bits in a variable discard the event"),
     (("//", "%"), "a // b, a % b", "round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1"),
     (("/",), "a / b", "of ints is a float; b == 0 discards the event"),
-    (("[]",), "xs[i]", "never counts from the end: the compiler has shown that 0 <= i < len(xs)"),
-    (("at", "first", "last"), "at(xs, i)", "is xs[i]; an i below 0 or beyond the end discards the event"),
-    (("slice_", "part"), "slice_(xs, a, b)", "is xs[a:b]; an a or b below 0 discards the event"),
-    (("power",), "power(a, b)", "is a ** b, of two ints an int; then b < 0 discards the event"),
+    (("[]",), "xs[i]", "never counts from the end: the compiler has proved 0 <= i < len(xs)"),
+    (("at", "first", "last"), "at(xs, i)", "is xs[i]; i < 0 or i >= len(xs) discards the event"),
+    (("slice_", "part"), "slice_(xs, a, b)", "is xs[a:b]; a < 0 or b < 0 discards the event"),
+    (("power",), "power(a, b)", "is a ** b; of two ints it is an int, and b < 0 discards the event"),
     (("plus", "minus", "product", "checked"), "plus(a, b)", "is a + b; more than 4096 bits discard the event"),
-    (("total",), "total(xs)", "adds floats from left to right: Pythons differ in what `sum` rounds to"),
-    (("round",), "round(x)", "takes the even one of two ints that are as near: round(2.5) is 2"),
+    (("total",), "total(xs)", "adds floats from left to right: how `sum` rounds depends on Python's version"),
+    (("round",), "round(x)", "rounds half to even: round(2.5) is 2"),
     (("no_nan", "no_nan_in"), "no_nan(x)", "is x; NaN discards the event, where a comparison alone would be false"),
     (("str()", "shown"), "str(x), shown(p)", "write numbers as Python does, 2.5 or 1e+20, and a Point as (x, y, z)"),
-    (_CHANGES, "appended, replace", "make a new value: none ever changes, so an assignment need not copy"),
-    (_SORTED, "set_of, map_of", "make sorted tuples: robots go through a set or map in the same order"),
-    (("turn", "turns"), "turns(xs)", "is xs, and counts: an event has a million turns of loops and calls"),
+    (_CHANGES, "appended, replace", "make a new value: values never change, so an assignment need not copy"),
+    (_SORTED, "set_of, map_of", "make sorted tuples: all robots iterate over a set or map in the same order"),
+    (("turn", "turns"), "turns(xs)", "is xs, and counts turns: an event has at most a million turns and calls"),
     (("made", "looked", "looked_in"), "made(xs)", "is xs, and counts a turn for each 100 elements; so does looked(xs)"),
-    (("claim",), "claim(n, holds)", "is True, and reports the loop invariant of line n where it does not hold"),
+    (("claim",), "claim(n, holds)", "is True, and reports the loop invariant of line n if it is false"),
     (("calls",), "f(a) + g(b)", "calls f first: operands are evaluated from left to right, as in Koord"),
 )  # fmt: skip
 
 
 def imports(used: Container[str]) -> tuple[list[str], list[str], list[str]]:
-    """Return the import lines for the names that are used: of Python's library, of packages, of the runtime."""
+    """Return the import lines for used names, in three groups: Python's library, packages, the runtime."""
     groups: tuple[list[str], list[str], list[str]] = ([], [], [])
     for module, names in _MODULES.items():
         found = [name for name in names if name in used]
@@ -80,7 +79,7 @@ def imports(used: Container[str]) -> tuple[list[str], list[str], list[str]]:
 
 
 def imported(module: str, names: list[str]) -> list[str]:
-    """The lines that import names from a module."""
+    """Return the lines of one import statement."""
     flat = f"from {module} import {', '.join(names)}"
     if len(flat) <= WIDTH:
         return [flat]
@@ -90,6 +89,6 @@ def imported(module: str, names: list[str]) -> list[str]:
 
 
 def notes(used: Container[str], heading: str) -> list[str]:
-    """The comments on what is used; none where nothing needs one."""
+    """Return the comment lines that explain used names and operators; empty if none needs an explanation."""
     found = [f"#   {shown:<18}{says}" for keys, shown, says in _NOTES if any(key in used for key in keys)]
     return [heading, *found] if found else []

@@ -1,8 +1,8 @@
-"""Mints every Python name in a generated program: pure, collision-checked, prefixed.
+"""Names of a generated program: maps each Koord name to a unique Python name.
 
-A prefix keeps a Koord name clear of Python's keywords and builtins (a variable called `class` becomes
-`local_class`) and says on a robot at night what a name is. Records and their fields, which Python beside the program
-sees, keep their own names where these are free.
+A prefix avoids Python's keywords and builtins (the variable `class` becomes `local_class`) and shows the reader of the
+generated code what a name denotes. Records and their fields are visible to the user's own Python files, so they keep
+their names if possible.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.stmt import Place
 
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-_IN_CLASSES = ("int", "float", "bool", "str", "tuple", "set_of", "map_of", "area")  # in annotations and first values
-# What a generated program calls by these names, beside Python's own and the library's.
+_IN_CLASSES = ("int", "float", "bool", "str", "tuple", "set_of", "map_of", "area")  # in annotations and initial values
+# Names that a generated program defines itself.
 _OWN = (
     "PROGRAM", "LINES", "LIBRARY", "State", "init", "s", "self", "frame", "n_sys", "Any", "Annotated", "msgspec",
     "PROPERTIES", "Fleet", "Ports", "Step",
@@ -27,16 +27,16 @@ _OWN = (
 
 
 def snake(name: str) -> str:
-    """`TargetUpdate` -> `target_update`; anything that is no letter, digit or underscore goes."""
+    """Convert `TargetUpdate` to `target_update`; characters that are not letters, digits or underscores are removed."""
     return re.sub(r"\W", "", _WORD.sub("_", name)).lower()
 
 
 class Names:
-    """The Python name of each thing in one program. The first thing to claim a name gets it, later ones a number."""
+    """Python names of one program. The first Koord name that needs a Python name gets it; later ones get a number."""
 
-    formulas = False  # whether it is for properties, which are asked of a Known
-    floats: Mapping[Place, int] = {}  # of the block at hand: see koordgen/build/emit/floats.py
-    before = after = ""  # what stands before a port's name; in an assumption two moments are told apart
+    formulas = False  # True in `properties.py`, whose formulas are evaluated over a Known
+    floats: Mapping[Place, int] = {}  # kinds of floats in the present block, see koordgen/build/emit/floats.py
+    before = after = ""  # prefixes of a port's name; an assumption distinguishes the port before and after the step
 
     def __init__(self, program: Program) -> None:
         self._taken = {*keyword.kwlist, *dir(builtins), *library.HOME, *_OWN}
@@ -55,7 +55,7 @@ class Names:
         self.calls = {f.name: self._mint(f"EXTERN_{snake(f.name).upper()}") for f in program.externs}
         self.guards = {e.name: self._mint(f"guard_{snake(e.name)}") for e in program.events}
         self.effects = {e.name: self._mint(f"effect_{snake(e.name)}") for e in program.events}
-        self.bounds: dict[str, str] = {}  # of records, by their text
+        self.bounds: dict[str, str] = {}  # names of records' bounds, by the text of the bound
         self.used: set[str] = set()
 
     def _mint(self, wanted: str) -> str:
@@ -64,7 +64,10 @@ class Names:
         return name
 
     def _fields(self, fields: list[str]) -> dict[str, str]:
-        """A class body's own names hide those that it uses, so these are taken for its fields."""
+        """Return Python names of a record's fields.
+
+        Names that the class body uses are not free: a field of that name would hide them.
+        """
         classes = {name for name in library.HOME if name[0].isupper()}
         taken = {*keyword.kwlist, *_IN_CLASSES, *classes, *self.records.values(), *self.extern_types.values()}
         found: dict[str, str] = {}
@@ -77,40 +80,42 @@ class Names:
         return found
 
     def turns(self, name: str) -> str:
-        """Mint a name for the range that a loop runs over; `name` is the loop's variable."""
+        """Return a new name for the range of a loop; `name` is the loop's variable."""
         return self._mint(f"turns_{name}")
 
     def bound(self, record: str, text: str) -> str:
-        """Mint a name for how much a record may hold. `types.bound` says it instead of the text."""
+        """Return a new name for the size bound of a record. `types.bound` uses the name in place of `text`."""
         self.bounds[text] = self._mint(f"BOUND_{snake(record).upper()}")
         return self.bounds[text]
 
     def use(self, name: str) -> str:
-        """Return a name, and note that the text has it: of the library, of the program, or an operator that the head of
-        the module explains (notes.py)."""
+        """Return `name`, and record that the text uses it.
+
+        It is a name of the library or the program, or the mark of an operator that `library.notes` explains.
+        """
         self.used.add(name)
         return name
 
     def attempt(self) -> Names:
-        """The same names, for text that may be dropped: what it uses is noted apart."""
+        """Return the same names with their own record of used names, for text that may not be emitted in the end."""
         made = copy.copy(self)
         made.used = set()
         return made
 
     def within(self, floats: Mapping[Place, int]) -> Names:
-        """The same names, for a block whose places may hold such floats."""
+        """Return the same names for a block; `floats`: the kinds of floats that its places may hold."""
         made = copy.copy(self)
         made.floats = floats
         return made
 
     @staticmethod
     def temp(name: str) -> str:
-        """A variable declared inside an event or function: unique there already, and no other name starts so."""
+        """Return the name of a variable declared in an event or function; it is unique there, as is the prefix."""
         return f"my_{name}"
 
 
 def _free(wanted: str, taken: set[str]) -> str:
-    """Names that begin with an underscore mean something to Python."""
+    """Return `wanted`, with a number if it is taken; `x` comes before an underscore, which is special in Python."""
     wanted = f"x{wanted}" if wanted.startswith("_") else wanted
     name, number = wanted, 2
     while name in taken:

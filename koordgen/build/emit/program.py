@@ -1,4 +1,4 @@
-"""A whole IR program -> the text of its `program.py`; its line map and its imports are noted while it is made."""
+"""IR program -> text of `program.py`. Imports and the line map are recorded while the text is made."""
 
 from __future__ import annotations
 
@@ -19,16 +19,19 @@ from koordgen.lang.ir.types import MapOf, RecordType, TupleOf, Type
 from koordgen.lang.ir.types import Sequence as SequenceOf
 from koordgen.lang.source import Span
 
-# Raised when the meaning of a datagram changes; equals that of koordgen/runtime/net/wire.py (a test compares them).
+# To be increased when the meaning of a datagram changes; equal to that of koordgen/runtime/net/wire.py (tested).
 WIRE_FORMAT = 4
 
 
-_NOTES = "# Python and Koord do the same here. Where that is not plain to see:"
+_NOTES = "# Python and Koord compute the same values. Operators and functions that need an explanation:"
 
 
 def program_text(program: ir.Program, functions: bytes = b"") -> str:
-    """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError). `functions` is
-    the user's Python file, if there is one."""
+    """Return the text of the generated module.
+
+    `functions`: content of the functions file, if there is one. The text is compiled once as a check: a SyntaxError is
+    a bug of this compiler.
+    """
     names = Names(program)
     body = Page()
     _add_types(body, program, names)
@@ -44,20 +47,24 @@ def program_text(program: ir.Program, functions: bytes = b"") -> str:
 
 
 def program_hash(program: ir.Program, functions: bytes = b"") -> str:
-    """16 hexadecimal digits over the canonical encoding of the program (ir/encoding.py) and the bytes of its functions
-    file. Robots with different hashes refuse one another."""
+    """Return 16 hexadecimal digits over the program's canonical encoding (ir/encoding.py) and its functions file.
+
+    Robots with different hashes refuse one another.
+    """
     return _digest(encode("program", program, blake2s(functions).hexdigest()))
 
 
 def interface_hash(program: ir.Program) -> str:
-    """16 hexadecimal digits over what peers must agree on to read one another's datagrams."""
+    """Return 16 hexadecimal digits over wire format and shared variables, which peers need to read datagrams."""
     shared = tuple([(v.name, v.kind, v.type) for v in program.shared])
     return _digest(encode("interface", WIRE_FORMAT, shared))
 
 
 def functions_module(program: ir.Program) -> str:
-    """The module beside a generated program that holds its extern functions and types; what can be in a file's name and
-    not in a module's is an underscore."""
+    """Return the name of the module with the extern functions and types.
+
+    Characters that cannot stand in a module's name become underscores.
+    """
     return re.sub(r"\W", "_", f"{program.name}_functions")
 
 
@@ -73,9 +80,9 @@ def _head(program: ir.Program, names: Names) -> Page:
     page = Page()
     page.add(f'"""{program.name}: the Koord program {program.path}, compiled by koordgen {__version__}.')
     page.gap(1)
-    page.add(f"The comment `# line 12` names a line of {program.path}, which stands beside this file. `s` is what")
-    page.add("an event sees and writes, `my_x` is its own variable `x`. The next build writes this file anew:")
-    page.add("change the Koord program, not this.")
+    page.add(f"The comment `# line 12` names a line of {program.path}, in the folder of this file.")
+    page.add("`s` is the state that an event reads and writes; `my_x` is a variable `x` declared in the event.")
+    page.add("The next build overwrites this file: change the Koord program instead.")
     page.add('"""')
     add_imports(page, library.imports(names.used))
     add_notes(page, names, _NOTES)
@@ -83,7 +90,7 @@ def _head(program: ir.Program, names: Names) -> Page:
 
 
 def add_imports(page: Page, groups: Iterable[list[str]]) -> None:
-    """Add import lines, behind that of annotations."""
+    """Add import lines, after the `__future__` import."""
     for group in (["from __future__ import annotations"], *groups):
         if group:
             page.gap(1)
@@ -91,7 +98,7 @@ def add_imports(page: Page, groups: Iterable[list[str]]) -> None:
 
 
 def add_notes(page: Page, names: Names, heading: str) -> None:
-    """Add what a reader should know of the calls and operators that a module has."""
+    """Add the comments that explain calls and operators of a module."""
     found = library.notes(names.used, heading)
     if found:
         page.gap(1)
@@ -151,10 +158,10 @@ def _extern(function: ir.ExternFunction, names: Names) -> str:
 
 
 def _add_state(page: Page, program: ir.Program, names: Names) -> None:
-    """Add the class of what an event sees and writes."""
+    """Add the class State, which an event reads and writes."""
     page.gap()
     page.add(f"class State({names.use('Transaction')}):")
-    page.add(f'"""What one event of {program.name} sees on one robot, and what it has written so far."""', STEP)
+    page.add(f'"""State of one robot during one event of {program.name}, with the writes of the event so far."""', STEP)
     page.gap(1)
     page.add(f"def __init__(self, frame: {names.use('Frame')}) -> None:", STEP)
     inner = STEP * 2
@@ -185,7 +192,7 @@ def _attribute(name: str, kind: str, type_: str, value: str) -> str:
 
 
 def add_callable(page: Page, method: str, type_: str, port: str, asked: str, names: Names) -> None:
-    """Add the method that a callable port is, by the method of the base class that answers."""
+    """Add the method of a callable port. `asked` is the method of the base class that returns the answer."""
     names.use("calls")
     page.gap(1)
     page.add(joined(f"def {method}(self, *args: {names.use('Any')}) -> ", type_, ":"), STEP)
@@ -265,7 +272,7 @@ def _tables(program: ir.Program, names: Names, hashed: str) -> Page:
 
 
 def add_table(page: Page, name: str, rows: Iterable[tuple[str, int]]) -> None:
-    """Add an argument that is a tuple with a row in each line, with its line of the program."""
+    """Add a keyword argument whose value is a tuple. `rows`: each row's text, and its line in the program or 0."""
     found = list(rows)
     if not found:
         page.add(f"{name}=(),", STEP)
@@ -288,7 +295,7 @@ def _variable(v: ir.Local | ir.Shared, kind: str, names: Names) -> str:
 
 
 def _ordered(records: Iterable[ir.Record]) -> list[ir.Record]:
-    """Each after those that it has fields of: their first values are made with it."""
+    """Sort records so that each stands after the records in its fields, which its initial value needs."""
     by_name = {r.type.name: r for r in records}
     found: dict[str, ir.Record] = {}
 

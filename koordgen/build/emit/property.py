@@ -1,12 +1,15 @@
-"""A whole IR program -> the text of `properties.py`: its properties and port assumptions as plain Python, beside the
-`program.py` whose records, params and functions they use. They mean what koordgen/lang/semantics/property.py says."""
+"""IR program -> text of `properties.py`: properties and port assumptions as Python functions.
+
+The module imports records, params and functions from `program.py`. Meaning of formulas:
+koordgen/lang/semantics/property.py.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
 from koordgen import __version__
-from koordgen.build.emit import expr, library, surely
+from koordgen.build.emit import expr, library, screening
 from koordgen.build.emit.layout import STEP, Page, brackets, display, joined, text
 from koordgen.build.emit.names import Names, snake
 from koordgen.build.emit.program import add_callable, add_imports, add_notes, add_table
@@ -16,14 +19,14 @@ from koordgen.lang.ir import expr as e
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POINT, POSE, Type
 
-# Sensors of a body that a harness can measure itself, beside its position, by their types; all others the robot says.
+# Sensors with their types that a harness can measure itself, besides the position. The robot reports all others.
 _MEASURED = {"velocity": POINT, "pose": POSE}
 _AXIOM = "an axiom is assumed"
-_NOTES = "# As in program.py; a formula has no value where it says that the event is discarded:"
+_NOTES = '# As in program.py. Where a line says "discards the event", a formula has no value:'
 
 
 class _Names(Names):
-    """Of a formula: the ports of one robot stand at two moments, and none is a plain value."""
+    """Names in formulas: ports are read before and after a step, and sensors through `.value`, as actuators are."""
 
     formulas = True
     before, after = "before.", "after."
@@ -33,18 +36,21 @@ class _Names(Names):
         self.sensors = set()
 
     def function(self, wanted: str) -> str:
-        """A name for what a formula becomes."""
+        """Return a new name for the function of a formula."""
         return self._mint(wanted)
 
 
 def has_properties(program: ir.Program) -> bool:
-    """Return whether there is anything that `properties.py` would tell of: else a bundle has none."""
+    """Return whether the program has properties or port assumptions; otherwise a bundle has no `properties.py`."""
     return bool(program.properties) or any(m.assumptions for m in program.modules)
 
 
 def properties_text(program: ir.Program, driven: Collection[str] = ()) -> str:
-    """The generated module, which compiles; anything else is a mistake of this compiler (SyntaxError). `driven` are the
-    modules that are served by drivers of the user's own."""
+    """Return the text of the generated module.
+
+    `driven`: modules that the user's drivers serve. The text is compiled once as a check: a SyntaxError is a bug of
+    this compiler.
+    """
     names = _Names(program)
     page = Page()
     places = [(m, a) for m in program.modules for a in m.assumptions]
@@ -87,7 +93,7 @@ def _measured(program: ir.Program, driven: Collection[str]) -> list[str]:
 
 
 def _unchecked(property_: ir.Property, program: ir.Program) -> str:
-    """Why it cannot be evaluated; empty when it can."""
+    """Return the reason why a property cannot be evaluated, or ""."""
     return _AXIOM if property_.kind == "axiom" else _specs(property_.formula, program)
 
 
@@ -111,14 +117,14 @@ def _property(page: Page, property_: ir.Property, program: ir.Program, names: _N
     function = names.function(f"{property_.kind}{own}")
     mark = f"{property_.kind}{f' {property_.name}' if property_.name else ''}, {program.path}:{line}"
     _add_function(page, function, ["s: Fleet"], mark, expr.text(property_.formula, names))
-    enough = surely.text(property_.formula, names) if property_.kind == "invariant" else ""
+    enough = screening.text(property_.formula, names) if property_.kind == "invariant" else ""
     arguments = [
         f'kind="{property_.kind}"',
         f"name={expr.literal(property_.name)}",
         f"line={line}",
         f"holds={function}",
         joined("reads=", _display(_reads(property_.formula))),
-        *_surely(page, function, enough, names),
+        *_screening(page, function, enough, names),
     ]
     return brackets(f"{names.use('Property')}(", arguments, ")"), 0
 
@@ -139,7 +145,7 @@ def _assumption(
         f"holds={function}",
         joined("reads=", _display(_reads(assumption.formula))),
         joined("goals=", display(asked)),
-        *_surely(page, function, surely.text_of_each(assumption.formula, names), names),
+        *_screening(page, function, screening.text_of_each(assumption.formula, names), names),
     ]
     return brackets(f"{names.use('Assumption')}(", arguments, ")"), 0
 
@@ -151,13 +157,13 @@ def _add_function(page: Page, name: str, parameters: Sequence[str], mark: str, f
     page.add(joined("return ", formula), STEP)
 
 
-def _surely(page: Page, function: str, enough: str, names: Names) -> list[str]:
-    """Add the function of a condition that is enough for a formula, if there is one. Return the argument for it."""
+def _screening(page: Page, function: str, enough: str, names: Names) -> list[str]:
+    """Add the screening function of a formula, if there is one. Return its keyword argument."""
     if not enough:
         return []
     page.gap()
     page.add(f"def surely_{function}(b: {names.use('Any')}) -> Any:")
-    page.add('"""Enough for it, of many moments at once."""', STEP)
+    page.add('"""Screening of many observations at once: where this is true, the formula holds."""', STEP)
     page.add(joined("return ", enough), STEP)
     return [f"surely=surely_{function}"]
 
@@ -171,7 +177,7 @@ def _asking(call: e.PortCall, goals: dict[int, e.TempRead], names: Names) -> str
 
 
 def _reads(formula: e.Expr) -> list[str]:
-    """The names of ports, locals and shared variables that a formula reads."""
+    """Return the names of ports, locals and shared variables that a formula reads."""
     found: list[str] = []
     for node in walk(formula):
         match node:
@@ -191,7 +197,7 @@ def _display(found: list[str]) -> str:
 
 
 def _add_fleet(page: Page, program: ir.Program, names: Names) -> None:
-    """Add the class of all that properties may read."""
+    """Add the class Fleet, from which properties read."""
     page.gap()
     page.add(f"class Fleet({names.use('Known')}):")
     page.add(f'"""State of all robots at one moment, for the properties of {program.name}."""', STEP)
@@ -221,7 +227,7 @@ def _ports(program: ir.Program, *directions: str) -> list[tuple[ir.Module, ir.Po
 
 
 def _add_step(page: Page, program: ir.Program, names: Names) -> None:
-    """Add the classes of all that assumptions may read."""
+    """Add the classes Ports and Step, from which assumptions read."""
     page.gap()
     page.add("class Ports:")
     page.add('"""One robot\'s ports."""', STEP)
@@ -249,7 +255,7 @@ def _head(program: ir.Program, names: Names) -> Page:
     page = Page()
     page.add(f'"""{program.name}: the properties of the Koord program {program.path}, by koordgen {__version__}.')
     page.gap(1)
-    page.add("The next build writes this file anew: change the Koord program, not this.")
+    page.add("The next build overwrites this file: change the Koord program instead.")
     page.add('"""')
     add_imports(page, [*library.imports(names.used), library.imported("program", sorted(own & names.used))])
     add_notes(page, names, _NOTES)

@@ -1,4 +1,4 @@
-"""Static bounds of sizes: what surely stays small is emitted without a look at its size.
+"""Static bounds of sizes: a value that always stays small is emitted without a size check.
 
 before: 2 * pid + 1, k += 1      after: the same
 before: k * k, s + s             after: product(k, k), made(s + s)
@@ -26,7 +26,7 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# Those of koordgen/runtime/values/turns.py (a test compares them).
+# Equal to those of koordgen/runtime/values/turns.py (a test compares them).
 ELEMENTS_A_TURN = 100
 CELLS_AN_ELEMENT = 100
 MOST_BITS = 4096
@@ -38,7 +38,7 @@ _CHECKED = {"+": "plus", "-": "minus", "*": "product"}
 
 
 def checked(node: ir.Binary) -> str:
-    """Return the function of the runtime that computes `node` and looks at its size; empty where no look is due."""
+    """Return the runtime function that computes `node` and checks its size; "" if it needs no check."""
     if node.type == INT and node.op in _CHECKED:
         left, right = _bits(node.left), _bits(node.right)
         if node.op != "*" and min(left, right) <= SMALL_BITS:
@@ -51,12 +51,12 @@ def checked(node: ir.Binary) -> str:
 
 
 def is_small(node: ir.Expr) -> bool:
-    """Return whether an int surely fits into a variable, whatever the variables that it reads hold."""
+    """Return whether an int always fits into a variable, for all values of the variables that it reads."""
     return _bits(node) < SMALL_BITS
 
 
 def _bits(node: ir.Expr) -> int:
-    """Return a bound of the bits of an int."""
+    """Return an upper bound of the number of bits of an int."""
     match node:
         case ir.Const(int() as value):
             return value.bit_length()
@@ -83,7 +83,7 @@ def _bits(node: ir.Expr) -> int:
 
 
 def _length(node: ir.Expr) -> int:
-    """Return a bound of the characters of a text, or the elements of a list."""
+    """Return an upper bound of the number of characters of a text, or of elements of a list."""
     match node:
         case ir.Const(str() as value):
             return len(value)
@@ -98,8 +98,10 @@ def _length(node: ir.Expr) -> int:
 
 
 def looks(node: ir.Expr, written: Container[stmt.Place]) -> str:
-    """Return the function of the runtime that takes the turns for going through a value; empty where these are surely
-    0. What no variable that the block has `written` may hold is within its declared capacity."""
+    """Return the runtime function that counts the turns of iterating over a value; "" if these are always 0.
+
+    The value of a variable that the block has not `written` is within its declared capacity.
+    """
     if _weight(node, written) < ELEMENTS_A_TURN:
         return ""
     is_flat = node.type == STRING or (isinstance(node.type, Sequence) and not _most(node.type.element, False))
@@ -107,7 +109,7 @@ def looks(node: ir.Expr, written: Container[stmt.Place]) -> str:
 
 
 def _weight(node: ir.Expr, written: Container[stmt.Place]) -> float:
-    """Return a bound of the elements of a value, as `elements` of the runtime counts them."""
+    """Return an upper bound of the elements of a value, counted as `elements` of the runtime does."""
     match node:
         case ir.Const(str() as text):
             return len(text)
@@ -131,7 +133,10 @@ def _weight(node: ir.Expr, written: Container[stmt.Place]) -> float:
 
 
 def _most(type_: Type, kept: bool) -> float:
-    """Return the most elements of a value of a type; infinite where nobody `kept` it: then no capacity counts."""
+    """Return the most elements of a value of a type.
+
+    `kept`: the value was stored in a variable, so capacities hold. Otherwise containers have no bound (infinity).
+    """
     match type_:
         case Sized("GridMap", capacity) if kept:
             return capacity // CELLS_AN_ELEMENT
@@ -154,5 +159,5 @@ def _most(type_: Type, kept: bool) -> float:
 
 
 def _is_plain(type_: Type) -> bool:
-    """Return whether values of a type count no elements."""
+    """Return whether values of a type have no elements."""
     return isinstance(type_, (Scalar, ExternType))

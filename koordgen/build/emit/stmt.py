@@ -1,4 +1,4 @@
-"""IR statements -> Python lines, each with the line of its Koord statement."""
+"""IR statements -> Python lines, each with the line number of its Koord statement."""
 
 from __future__ import annotations
 
@@ -42,7 +42,11 @@ def add_block(page: Page, block: ir.Block, names: Names, indent: str) -> None:
 
 
 def _add_for(page: Page, loop: ir.For, names: Names, indent: str) -> None:
-    """Add a `for` loop. Invariants of a loop that counts are evaluated with the next value: its range gets a name."""
+    """Add a `for` loop.
+
+    A loop over a range or `ID` that has invariants gets a name for its range: after the loop, its invariants are
+    evaluated with the value that would come next.
+    """
     line = loop.span.line
     taken, over = ", ".join([names.temp(name) for name in loop.names]), expr.domain(loop.values, names)
     claims = _claims(loop, names)
@@ -63,7 +67,7 @@ def _add_for(page: Page, loop: ir.For, names: Names, indent: str) -> None:
 
 
 def _add_while(page: Page, loop: ir.While, names: Names, indent: str) -> None:
-    """Add a `while` loop. Its invariants are evaluated before its condition, or, where that is True, in the block."""
+    """Add a `while` loop. Invariants are evaluated before the condition; for `while True`, in the block."""
     claims = _claims(loop, names)
     endless = loop.condition == Const(True, BOOL, loop.span)
     condition = _each_turn(loop.condition, names)
@@ -84,7 +88,7 @@ def _add_claims(page: Page, claims: list[tuple[str, int]], indent: str) -> None:
 
 
 def _claims(loop: ir.For | ir.While, names: Names) -> list[tuple[str, int]]:
-    """Return the calls that evaluate a loop's invariants, each with its line; a call is always true."""
+    """Return the calls that evaluate a loop's invariants, each with its line. Each call returns True."""
     return [(_claim(invariant, names), invariant.span.line) for invariant in loop.invariants]
 
 
@@ -94,7 +98,7 @@ def _claim(invariant: ir.LoopInvariant, names: Names) -> str:
 
 
 def _each_turn(condition: Expr, names: Names) -> str:
-    """The condition of a `while`, which takes a turn where it holds."""
+    """Return the condition of a `while`, which counts a turn each time that it is true."""
     turn = f"{names.use('turn')}()"
     forever = isinstance(condition, Const) and condition.value is True
     return turn if forever else expr.and_also(condition, f"and {turn}", names)
@@ -125,7 +129,7 @@ def _simple(statement: ir.Stmt, names: Names) -> str:
 
 
 def _changes(place: ir.Place, value: Expr) -> bool:
-    """Return whether a value is an operation whose left operand reads the very place that it is assigned to."""
+    """Return whether a value is an operation whose left operand reads the place that the value is assigned to."""
     if not isinstance(value, Binary):
         return False
     match place, value.left:

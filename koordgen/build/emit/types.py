@@ -1,4 +1,4 @@
-"""Koord types in generated programs: their Python annotations, how much their values may hold, their empty values."""
+"""Koord types in generated programs: Python annotations, size bounds and empty values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# The most bytes of values of these types in MessagePack, as runtime/values/bounds.py counts them (a test compares).
+# Most bytes of values of these types in MessagePack; equal to those of runtime/values/bounds.py (a test compares them).
 NUMBER = 9
 FIXED: dict[Type, int] = {
     BOOL: 1, INT: NUMBER, FLOAT: NUMBER, POINT: 1 + 3 * NUMBER, POSE: 1 + 1 + 3 * NUMBER + NUMBER, GRID: 1 + 3 * NUMBER
@@ -37,7 +37,7 @@ _DEFAULTS: dict[Type, str] = {BOOL: "False", INT: "0", FLOAT: "0.0"}
 
 
 def annotation(type_: Type, names: Names) -> str:
-    """The Python type of a Koord type's values; a planner's is that of what it returns."""
+    """Return the Python annotation of a Koord type; for a planner, that of its result."""
     match type_:
         case Scalar() if type_ == PLANNER:
             return _tuple(names.use("Point"), "...")
@@ -64,7 +64,7 @@ def _tuple(*items: str) -> str:
 
 
 def bound(type_: Type, names: Names) -> str:
-    """The Python expression for a type's Bound. An argument's one value a robot has none of its own."""
+    """Return the Python expression for a type's Bound. An argument `T[N_SYS]` has that of a list of 128 elements."""
     match type_:
         case Scalar():
             return f"{names.use('Fixed')}(bytes={FIXED[type_]})"
@@ -94,14 +94,14 @@ def _many(kind: str, capacity: int, element: Type, names: Names) -> str:
 
 
 def bound_of_record(type_: RecordType, names: Names) -> str:
-    """The Python expression for a record's Bound, which has a name if its capacities are the declared ones."""
+    """Return the Python expression for a record's Bound."""
     items = display([bound(field, names) for _, field in type_.fields])
     fields = display([f'"{names.fields[type_.name][field]}"' for field, _ in type_.fields])
     return brackets(f"{names.use('Parts')}(", [joined("items=", items), joined("fields=", fields)], ")")
 
 
 def with_floats(type_: Type) -> bool:
-    """Whether values of a type have floats in them: Python's `==` and `in` are not Koord's then."""
+    """Return whether values of a type contain floats. Then Python's `==` and `in` differ from Koord's for NaN."""
     match type_:
         case Scalar() | Sized():
             return type_ in (FLOAT, POINT, POSE, GRID) or (isinstance(type_, Sized) and type_.name != "string")
@@ -118,7 +118,7 @@ def with_floats(type_: Type) -> bool:
 
 
 def default(type_: Type, names: Names) -> str:
-    """The value of a type that nothing was ever written to."""
+    """Return the Python expression for the value of a type before any write."""
     match type_:
         case Scalar():
             return _DEFAULTS.get(type_) or f"{names.use(type_.name)}()"

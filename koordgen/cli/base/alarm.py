@@ -1,4 +1,4 @@
-"""Time limit of a command: an alarm that interrupts whatever runs in the main thread, user code included."""
+"""Time limit of a command: an alarm that interrupts the main thread, even in the user's own Python code."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from types import FrameType
 
 from koordgen.lang.semantics.deadline import OutOfTime
 
-GRACE = 0.5  # seconds: who looks at the clock in good time ends in its own way before
+GRACE = 0.5  # seconds after the limit: code that checks the clock itself ends regularly before the alarm
 
 
 @contextmanager
 def alarm(seconds: float | None) -> Iterator[None]:
-    """Raise OutOfTime in the block once it has run for so many seconds, and GRACE; never, without `seconds`. Takes
-    SIGALRM for that time. One call into C is not interrupted: limits of sizes keep these short."""
+    """Raise OutOfTime in the block after `seconds` + GRACE; never if `seconds` is None.
+
+    Uses SIGALRM during the block. A single call into C is not interrupted; limits of sizes keep such calls short.
+    """
     if seconds is None:
         yield
         return

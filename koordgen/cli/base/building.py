@@ -1,10 +1,10 @@
-"""Bundles as commands need them: named targets, params, planning and writing, with errors for people."""
+"""Bundles for commands: names of targets, params, planning and writing, with errors as Failure."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from koordgen.cli.base.console import SURROUNDINGS, USAGE, Failure, install, tell
+from koordgen.cli.base.console import SURROUNDINGS, USAGE, Failure, install, print_diagnostics
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -14,24 +14,26 @@ if TYPE_CHECKING:
 
 
 def target_names(text: str) -> list[str]:
+    """Parse the value of --target: names of targets, separated by commas. Raises Failure."""
     from koordgen.fleet import manifest
 
     wanted = [name.strip() for name in text.split(",") if name.strip()]
     unknown = [name for name in wanted if name not in manifest.available()]
     if unknown or not wanted:
         message = f"no target {unknown[0]!r}" if unknown else "--target names no target"
-        raise Failure(USAGE, message, f"the targets are {available_targets()}")
+        raise Failure(USAGE, message, f"possible targets: {available_targets()}")
     return list(dict.fromkeys(wanted))
 
 
 def available_targets() -> str:
+    """Return the names of all targets, as text."""
     from koordgen.fleet import manifest
 
     return ", ".join(manifest.available())
 
 
 def left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str]) -> list[str]:
-    """Return the robots that get no bundle of their own, where bundles of robots are built at all."""
+    """Return the robots for which no bundle is built; empty if `targets` names only harnesses."""
     import json
 
     from koordgen.fleet import manifest
@@ -45,9 +47,10 @@ def left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str
 def planned(
     options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
 ) -> tuple[dict[str, dict[str, bytes]], str]:
-    """The bundles, and the app's name; `more` are params that neither the fleet nor the command names.
+    """Return the bundles and the app's name. Raises Rejected, Failure.
 
-    Warnings and notes are told, or, for a command that prints a document of its own, put into `options.collected`.
+    `more`: values of params, replaced by those of the options --param. Warnings and notes are printed; for a command
+    that prints one JSON document they are added to `options.collected` instead.
     """
     from koordgen.build.pipeline import plan_file
     from koordgen.fleet.manifest import ManifestError
@@ -59,16 +62,17 @@ def planned(
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:
-        raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; install koordgen anew") from None
-    noticed = [(checked.source, d) for d in checked.noticed]
+        raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; reinstall koordgen") from None
+    diagnostics = [(checked.source, d) for d in checked.diagnostics]
     if options.format == "json" and (collected := getattr(options, "collected", None)) is not None:
-        collected += noticed
+        collected += diagnostics
     else:
-        tell(noticed, options)
+        print_diagnostics(diagnostics, options)
     return bundles, checked.program.name
 
 
 def params(given: list[str]) -> dict[str, Value]:
+    """Parse the values of --param, each NAME=VALUE. Raises Failure."""
     if not given:
         return {}
     from koordgen.lang.analyze.params import BadParam, parse_value
@@ -77,7 +81,7 @@ def params(given: list[str]) -> dict[str, Value]:
     for text in given:
         name, equals, value = text.partition("=")
         if not equals:
-            raise Failure(USAGE, f"--param {text}: NAME=VALUE is expected")
+            raise Failure(USAGE, f"--param {text}: expected NAME=VALUE", "for example --param step=2.0")
         try:
             values[name] = parse_value(value)
         except BadParam as error:
@@ -86,6 +90,7 @@ def params(given: list[str]) -> dict[str, Value]:
 
 
 def write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
+    """Write bundles to disk. Raises Failure."""
     from pathlib import Path
 
     from koordgen.build.bundle.write import CannotWrite
@@ -98,7 +103,7 @@ def write(bundles: dict[str, dict[str, bytes]], folder: object) -> None:
 
 
 def require_packages() -> None:
-    """The harness and the agents run with this very Python."""
+    """Raise Failure if this Python lacks a package that a harness or an agent needs: both run with this Python."""
     from importlib.metadata import PackageNotFoundError, version
 
     from koordgen.fleet import manifest

@@ -1,4 +1,4 @@
-"""Console: exit statuses, failures, and what commands print for people and machines."""
+"""Console: exit statuses, failures, and printing of messages and diagnostics as text, JSON or SARIF."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from koordgen.lang.diagnostics import Diagnostic
     from koordgen.lang.source import Source
 
-# One table for every command; docs/reference/cli.md prints it.
+# Exit statuses of all commands, as in the table of docs/reference/cli.md.
 HOLDS, WRONG, USAGE, VIOLATED, INCONCLUSIVE, SURROUNDINGS, HOST, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6, 70, 130
 
 
 class Failure(Exception):
-    """Ends the command with a message, a way out, and an exit status."""
+    """Raised to end a command with an exit status, a message, and a help text that says what to do."""
 
     def __init__(self, status: int, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -28,14 +28,14 @@ class Failure(Exception):
 
 
 def install(what: str) -> str:
-    """Return how to install koordgen with an extra, as in "koordgen[prove]", for the running Python."""
+    """Return the command that installs `what`, for example "koordgen[prove]", for the running Python."""
     from koordgen.runtime.ops.host import pip_install
 
     return pip_install(f"'{what}'")
 
 
 def print_document(options: Namespace, results: Mapping[str, object]) -> None:
-    """Print the one JSON document of a command: the diagnostics that were collected, and its results."""
+    """Print the JSON document of a command: the collected diagnostics, and the results."""
     import json
 
     from koordgen.lang.diagnostics import as_data
@@ -45,14 +45,15 @@ def print_document(options: Namespace, results: Mapping[str, object]) -> None:
 
 
 def show_rejected(rejected: Rejected, options: Namespace) -> None:
-    tell(rejected.found, options)
+    """Print the diagnostics of wrong files and, in text, the number of errors."""
+    print_diagnostics(rejected.found, options)
     codes = [d.code for _, d in rejected.found if d.severity == "error"]
     if options.format == "text":
-        say(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
+        notify(f"{len(codes)} error{'s' if len(codes) != 1 else ''}; `koordgen explain {codes[0]}` tells more")
 
 
-def tell(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> None:
-    """All that a command has to say of the user's files, once: for machines a document, even when it is nothing."""
+def print_diagnostics(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> None:
+    """Print diagnostics in the format of the options. JSON and SARIF are one document, even without diagnostics."""
     if options.format == "json":
         from koordgen.lang.diagnostics import to_json
 
@@ -67,15 +68,16 @@ def tell(found: Collection[tuple[Source, Diagnostic]], options: Namespace) -> No
         from koordgen.lang.diagnostics import render
 
         for source, diagnostic in found:
-            say(render(diagnostic, source))
+            notify(render(diagnostic, source))
 
 
 def output(options: Namespace) -> TextIO | None:
-    """Where a command's own words go: aside when a document for machines has standard output, which None means."""
+    """Return the stream for other output: None (standard output) in text format, stderr in JSON and SARIF."""
     return None if options.format == "text" else sys.stderr
 
 
-def say(text: str) -> None:
+def notify(text: str) -> None:
+    """Print a message to stderr, with colours on a terminal."""
     from koordgen.cli.base.terminal import coloured_message
 
     print(coloured_message(text, sys.stderr), file=sys.stderr)
@@ -85,8 +87,8 @@ def internal_error(error: Exception) -> int:
     import traceback
 
     traceback.print_exception(error)
-    say(
+    notify(
         f"internal error: {error}\n"
-        "  this is a mistake of koordgen, not of your program: please report it with the above"
+        "  this is a bug of koordgen, not an error in your program: please report it with the lines above"
     )
     return INTERNAL

@@ -1,4 +1,4 @@
-"""Options of each command, in groups. koordgen/cli/commands.py lists the commands."""
+"""Options of each command, in groups; koordgen/cli/commands.py lists the commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def check(command: Parser) -> None:
 
 def new(command: Parser) -> None:
     """Options of `koordgen new`."""
-    name = "the program's name, and that of its folder: letters, digits and _"
+    name = "name of the program and of its folder: letters, digits and _"
     command.positional.add_argument("name", metavar="NAME", help=name)
 
 
@@ -31,7 +31,7 @@ def examples(command: Parser) -> None:
 
 def docs(command: Parser) -> None:
     """Options of `koordgen docs`."""
-    page = "a page such as fleet, or a section of it such as fleet#safety (default: list all pages)"
+    page = "a page, for example fleet, or a section, for example fleet#safety (default: list all pages)"
     command.positional.add_argument("page", metavar="PAGE", nargs="?", help=page)
 
 
@@ -39,7 +39,7 @@ def dump(command: Parser) -> None:
     """Options of `koordgen dump`."""
     _program(command)
     output = command.add_argument_group("output")
-    after = "show the program after this pass: `parse` gives the syntax tree, `check` the typed IR (default: check)"
+    after = "pass after which to print: `parse` prints the syntax tree, `check` the typed IR (default: check)"
     output.add_argument("--after", metavar="PASS", choices=("parse", "check"), default="check", help=after)
     _diagnostics(output)
 
@@ -48,9 +48,9 @@ def build(command: Parser) -> None:
     """Options of `koordgen build`."""
     _program(command)
     wanted = command.add_argument_group("what to build")
-    targets = "the targets to build for, as in quad,car (default: those that the robots of the fleet file name)"
+    targets = "targets to build for, for example quad,car (default: those of the robots in the fleet file)"
     wanted.add_argument("--target", metavar="A,B", help=targets)
-    _fleet(wanted, "the fleet file (YAML); with it, each robot gets a folder of its own")
+    _fleet(wanted, "the fleet file (YAML): write a folder for each robot")
     _params(wanted)
     output = command.add_argument_group("output")
     output.add_argument("-o", "--out", metavar="DIR", default="build", help="write DIR/APP/ (default: build)")
@@ -61,21 +61,23 @@ def prove(command: Parser) -> None:
     """Options of `koordgen prove`."""
     _program(command)
     question = command.add_argument_group("what to prove")
-    many = "for how many robots: `any`, a number, or a range such as 3..15 (default: any)"
+    many = "number of robots: `any`, a number, or a range such as 3..15 (default: any)"
     question.add_argument("--robots", metavar="N", type=values.robots, default="any", help=many)
     _fleet(question, "a fleet file (YAML), for the values of params")
-    value = "the value of a param; a param without one may have any value; may be repeated"
+    value = "value of a param; other params may have any value; may be repeated"
     question.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
     solving = command.add_argument_group("solver")
-    solving.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="(default: z3)")
-    timeout = "limit of one query, in seconds (default: 10)"
+    solving.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="SMT solver (default: z3)")
+    timeout = "time limit of one query, in seconds (default: 10)"
     solving.add_argument("--timeout", metavar="S", type=values.seconds, default=10.0, help=timeout)
-    attack = "seconds for a search for states that contradict a PROVED; 0: no search (default: 0.05)"
+    attack = "time of the search for states that contradict a PROVED, in seconds; 0: no search (default: 0.05)"
     solving.add_argument("--attack", metavar="S", type=values.seconds_or_none, default=0.05, help=attack)
-    again = "run again a contradiction that an earlier command wrote; prove nothing"
+    again = "run a contradiction again that an earlier command wrote to FILE; prove nothing"
     solving.add_argument("--attack-from", metavar="FILE", help=again)
     output = command.add_argument_group("output")
-    output.add_argument("--emit", metavar="DIR", help="write each obligation as SMT-LIB, and run.sh, which checks them")
+    output.add_argument(
+        "--emit", metavar="DIR", help="write each obligation as SMT-LIB, and a script run.sh that checks them"
+    )
     output.add_argument("--trace", metavar="FILE", help="write the first counterexample as a trace")
     _format(output)
 
@@ -84,21 +86,21 @@ def explore(command: Parser) -> None:
     """Options of `koordgen explore`."""
     _program(command)
     fleet = command.add_argument_group("fleet")
-    many = f"number of robots, 1 to {values.MOST_ROBOTS} (default: that of the fleet file, else 3)"
+    many = f"number of robots, 1 to {values.MOST_ROBOTS} (default: that of the fleet file; without one, 3)"
     fleet.add_argument("--robots", metavar="N", type=values.fleet_size, help=many)
     fleet.add_argument("--env", metavar="FILE", help="values of sensors and answers of callable ports (YAML)")
-    _fleet(fleet, "a fleet file (YAML): values of params, number of robots")
+    _fleet(fleet, "a fleet file (YAML), for the values of params and the number of robots")
     _params(fleet)
     limits = command.add_argument_group("limits")
-    limits.add_argument("--rounds", metavar="R", type=values.count, help="rounds to explore (default: all)")
-    limits.add_argument("--states", metavar="K", type=values.count, help="states to visit at most (default: all)")
-    limits.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit (default: none)")
+    limits.add_argument("--rounds", metavar="R", type=values.count, help="most rounds to explore (default: all)")
+    limits.add_argument("--states", metavar="K", type=values.count, help="most states to visit (default: all)")
+    limits.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit, in seconds (default: none)")
     search = command.add_argument_group("search")
-    apart = "do not treat states as equal that differ only in the order of robots"
+    apart = "explore also states that differ only in the order of robots"
     search.add_argument("--no-symmetry", dest="symmetry", action="store_false", help=apart)
-    orders = "try every order of robots, also where orders make no difference"
+    orders = "explore every order of robots, also if the order makes no difference"
     search.add_argument("--no-independence", dest="independence", action="store_false", help=orders)
-    unread = "keep states apart that differ only in values that are never read again"
+    unread = "explore also states that differ only in values that are never read again"
     search.add_argument("--no-forgetting", dest="forgetting", action="store_false", help=unread)
     quiet = "do not report robots that wait for ever without `stop`"
     search.add_argument("--no-deadlock", dest="deadlock", action="store_false", help=quiet)
@@ -113,9 +115,9 @@ def fmt(command: Parser) -> None:
     files = "programs; `-` reads standard input and writes standard output"
     command.positional.add_argument("files", metavar="FILE", type=values.program, nargs="+", help=files)
     mode = command.add_argument_group("what to do")
-    mode.add_argument("--check", action="store_true", help="write nothing; status 1 when a file would change")
-    mode.add_argument("--diff", action="store_true", help="as --check, and show the changes")
-    mode.add_argument("--upgrade", action="store_true", help="rewrite the 2020 dialect as well")
+    mode.add_argument("--check", action="store_true", help="write nothing; exit status 1 if a file would change")
+    mode.add_argument("--diff", action="store_true", help="like --check, and show the changes")
+    mode.add_argument("--upgrade", action="store_true", help="also convert programs in the Koord dialect of 2020")
     _format(command.add_argument_group("output"))
 
 
@@ -129,8 +131,8 @@ def estop(command: Parser) -> None:
     """Options of `koordgen estop`."""
     fleet = "the fleet file (YAML), or a folder that `koordgen build` wrote"
     command.positional.add_argument("fleet", metavar="FLEET", nargs="?", help=fleet)
-    whom = command.add_argument_group("whom to stop")
-    address = "the address of one more robot, as in a fleet file; may be repeated"
+    whom = command.add_argument_group("robots to stop")
+    address = "address of another robot, as in a fleet file; may be repeated"
     whom.add_argument("--address", metavar="HOST:PORT", action="append", default=[], help=address)
     number = "the fleet's application_id (default: that of the fleet file, else 0)"
     whom.add_argument("--application", metavar="N", type=values.application, help=number)
@@ -142,7 +144,7 @@ def status(command: Parser) -> None:
     """Options of `koordgen status`."""
     fleet = "the fleet file (YAML), or a folder that `koordgen build` wrote"
     command.positional.add_argument("fleet", metavar="FLEET", help=fleet)
-    asking = command.add_argument_group("asking")
+    asking = command.add_argument_group("status")
     _key(asking)
     asking.add_argument("--watch", action="store_true", help="ask again every second, until Ctrl-C")
     _ssh(command)
@@ -155,17 +157,22 @@ def dashboard(command: Parser) -> None:
     command.positional.add_argument("fleet", metavar="FLEET", help=fleet)
     robots = command.add_argument_group("robots")
     _key(robots)
-    robots.add_argument("--control", action="store_true", help="show a button that stops all robots when it is held")
+    robots.add_argument(
+        "--control", action="store_true", help="show a button that stops all robots when it is held down"
+    )
     page = command.add_argument_group("page")
-    port = "the page's port; 0: any free one (default: 8470)"
+    port = "port of the page; 0: any free port (default: 8470)"
     page.add_argument("--port", metavar="N", type=values.port_or_any, default=8470, help=port)
-    bind = "this computer's address for the page; another one needs the three options below (default: 127.0.0.1)"
+    bind = (
+        "address of this computer for the page; another one than the default needs the three options below "
+        "(default: 127.0.0.1)"
+    )
     page.add_argument("--bind", metavar="ADDRESS", default="127.0.0.1", help=bind)
-    page.add_argument("--tls-cert", metavar="FILE", help="the page's certificate (PEM), for https")
-    page.add_argument("--tls-key", metavar="FILE", help="that certificate's private key (PEM, without a password)")
-    token = "the file of the token that a browser must send once; the command makes the file if there is none"
+    page.add_argument("--tls-cert", metavar="FILE", help="certificate of the page (PEM), for https")
+    page.add_argument("--tls-key", metavar="FILE", help="private key of that certificate (PEM, without a password)")
+    token = "file of the token that a browser must send once; created if it does not exist"
     page.add_argument("--token", metavar="FILE", help=token)
-    page.add_argument("--no-browser", dest="browser", action="store_false", help="open no browser")
+    page.add_argument("--no-browser", dest="browser", action="store_false", help="do not open a browser")
     _foxglove(page, "fleet")
 
 
@@ -178,18 +185,18 @@ def basestation(command: Parser) -> None:
     source.add_argument("--host", metavar="HOST", required=True, help="host name or address of the system's server")
     sending = command.add_argument_group("sending")
     _key(sending)
-    rate = "most poses a second for each robot, 1 to 1000 (default: 50)"
+    rate = "most poses per second for each robot, 1 to 1000 (default: 50)"
     sending.add_argument("--rate", metavar="HZ", type=values.rate, default=50.0, help=rate)
     _diagnostics(command.add_argument_group("output"))
 
 
 def doctor(command: Parser) -> None:
     """Options of `koordgen doctor`."""
-    bundle = "a robot's folder on this computer, as `koordgen build` wrote it"
+    bundle = "a robot's folder on this computer, written by `koordgen build`"
     command.positional.add_argument("bundle", metavar="BUNDLE", nargs="?", help=bundle)
-    settings = "JSON that replaces entries of the bundle's settings.json"
+    settings = "JSON file whose entries replace those of the bundle's settings.json"
     command.add_argument_group("settings").add_argument("--settings", metavar="FILE", help=settings)
-    _fleet(command.add_argument_group("fleet"), "ask all robots of this fleet file over SSH, instead of a BUNDLE")
+    _fleet(command.add_argument_group("fleet"), "check all robots of this fleet file over SSH, instead of a BUNDLE")
     _ssh(command)
     _format(command.add_argument_group("output"))
 
@@ -203,7 +210,7 @@ def start(command: Parser) -> None:
 def stop(command: Parser) -> None:
     """Options of `koordgen stop`."""
     _deployed(command)
-    seconds = "time in which a robot must be at rest and its agent have ended (default: 30)"
+    seconds = "time within which a robot must have stopped and its agent must have ended (default: 30)"
     stopping = command.add_argument_group("stopping")
     stopping.add_argument("--seconds", metavar="S", type=values.seconds, default=30.0, help=seconds)
     _ssh(command)
@@ -213,8 +220,10 @@ def logs(command: Parser) -> None:
     """Options of `koordgen logs`."""
     _deployed(command)
     lines = command.add_argument_group("lines")
-    lines.add_argument("--lines", metavar="N", type=values.natural, default=50, help="of each robot (default: 50)")
-    lines.add_argument("--follow", action="store_true", help="show new lines as they come, until Ctrl-C")
+    lines.add_argument(
+        "--lines", metavar="N", type=values.natural, default=50, help="number of lines for each robot (default: 50)"
+    )
+    lines.add_argument("--follow", action="store_true", help="show new lines as they are written, until Ctrl-C")
     _ssh(command)
 
 
@@ -222,7 +231,7 @@ def collect(command: Parser) -> None:
     """Options of `koordgen collect`."""
     _named_fleet(command)
     output = command.add_argument_group("output")
-    folder = "the run folder to write, or one of an earlier collection, which goes on"
+    folder = "the run folder to write; an earlier collection in it is continued"
     output.add_argument("-o", "--out", metavar="FOLDER", required=True, help=folder)
     _quiet(output)
     _ssh(command)
@@ -230,9 +239,9 @@ def collect(command: Parser) -> None:
 
 def key(command: Parser) -> None:
     """Options of `koordgen key`."""
-    action = "`new` makes a key; `rotate` gives a deployed fleet a new key, all robots or none"
+    action = "`new` creates a key; `rotate` installs a new key on all robots of a deployed fleet, or on none"
     command.positional.add_argument("action", choices=("new", "rotate"), help=action)
-    file = "new: the key's file, which must not exist yet; rotate: the fleet file (YAML)"
+    file = "new: the file of the key, which must not exist yet; rotate: the fleet file (YAML)"
     command.positional.add_argument("file", metavar="FILE", help=file)
     _key(command.add_argument_group("rotate"))
     _ssh(command)
@@ -246,7 +255,7 @@ def deploy(command: Parser) -> None:
     _fleet(what, "the fleet file (YAML), with a `host` for each robot", required=True)
     _params(what)
     _key(what)
-    over = "replace the release of another fleet, which a host has in this folder"
+    over = "replace the release of another fleet in the same folder of a host"
     what.add_argument("--take-over", action="store_true", help=over)
     _ssh(command)
     _deployment_output(command)
@@ -255,15 +264,15 @@ def deploy(command: Parser) -> None:
 def rollback(command: Parser) -> None:
     """Options of `koordgen rollback`."""
     command.positional.add_argument("fleet", metavar="FLEET", type=values.fleet, help="the fleet file (YAML)")
-    what = command.add_argument_group("where to")
-    to = "a release that all robots still have (default: the one before the present one)"
+    what = command.add_argument_group("release")
+    to = "a release that all robots still have (default: the previous release)"
     what.add_argument("--to", metavar="ID", type=values.release, help=to)
     _key(what)
     _ssh(command)
     _deployment_output(command)
 
 
-# Conditions of all links between robots; they replace those of the scenario.
+# Conditions of all links between robots, which replace those of the scenario.
 _NETWORK = {
     "loss": ("P", values.share, "share of datagrams that are lost, 0 to 1"),
     "delay": ("S", values.short_time, "delay of each datagram, in seconds, 0 to 10"),
@@ -271,7 +280,7 @@ _NETWORK = {
     "duplication": ("P", values.share, "share of datagrams that arrive twice, 0 to 1"),
     "reordering": ("P", values.share, "share of datagrams that later datagrams overtake, 0 to 1"),
 }
-# Options of a harness's bundle that have the same name here.
+# Options that are passed to a harness's bundle under the same name.
 PASSED = ("duration", "seed", "live", "foxglove", "pace", *_NETWORK)
 
 
@@ -280,26 +289,26 @@ def harness(command: Parser) -> None:
     _program(command)
     run = command.add_argument_group("run")
     _fleet(run, "the fleet file (YAML) (default: one simulated robot)")
-    _duration(run, "seconds of mission, from its first round (default: 30)")
-    run.add_argument("--lockstep", action="store_true", help="run all robots in one process: repeatable, and faster")
+    _duration(run, "length of the mission from its first round, in seconds (default: 30)")
+    run.add_argument("--lockstep", action="store_true", help="run all robots in one process: deterministic and faster")
     run.add_argument("--seed", metavar="N", type=int, help="seed of all random numbers (default: 0)")
     follow = "run this counterexample of `koordgen explore` or `koordgen prove`"
     run.add_argument("--follow", metavar="TRACE", help=follow)
     _params(run)
     faults = command.add_argument_group("faults")
-    faults.add_argument("--scenario", metavar="FILE", help="the faults of the run, and their times (YAML)")
+    faults.add_argument("--scenario", metavar="FILE", help="faults of the run, with their times (YAML)")
     for name, (metavar, type_, help) in _NETWORK.items():
         faults.add_argument(f"--{name}", metavar=metavar, type=type_, help=help)
     watch = command.add_argument_group("watch")
-    live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free one)"
+    live = "show the run in a browser, on a page of 127.0.0.1 (default of PORT: any free port)"
     watch.add_argument("--live", metavar="PORT", type=values.port, nargs="?", const=0, help=live)
     _foxglove(watch, "run")
     watch.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: use --live)")
-    pace = "run in lockstep at most this many times faster than real time (default: no limit)"
+    pace = "limit the speed in lockstep to a multiple of real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder of trace, summary and report (default: run-APP)")
-    later = "make no report; `koordgen report` makes it later"
+    output.add_argument("--out", metavar="DIR", help="folder for trace, summary and report (default: run-APP)")
+    later = "write no report; `koordgen report` can write it later"
     output.add_argument("--no-report", action="store_true", help=later)
     _quiet(output)
     _results(output)
@@ -311,19 +320,22 @@ def campaign(command: Parser) -> None:
     runs = command.add_argument_group("runs")
     _fleet(runs, "the fleet file (YAML)", required=True)
     runs.add_argument("--runs", metavar="N", type=values.count, help="number of runs (default: each combination once)")
-    vary = "what differs between runs: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C, separated by commas; may be repeated"
+    vary = (
+        "settings that differ between runs, separated by commas: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C; may be "
+        "repeated"
+    )
     runs.add_argument("--vary", metavar="NAME[=VALUES]", action="append", default=[], help=vary)
-    _duration(runs, "seconds of each mission, from its first round (default: 30)")
-    runs.add_argument("--lockstep", action="store_true", help="run on the simulated clock: repeatable, and faster")
+    _duration(runs, "length of each mission from its first round, in seconds (default: 30)")
+    runs.add_argument("--lockstep", action="store_true", help="run on the simulated clock: deterministic and faster")
     runs.add_argument("--verdict", metavar="FILE", help="a Python script that judges the folder of each run")
     _params(runs)
     where = command.add_argument_group("where to run")
-    jobs = "runs at a time (default: the number of cores; 1 in real time)"
+    jobs = "number of simultaneous runs (default: the number of cores; 1 in real time)"
     where.add_argument("--jobs", metavar="N", type=values.count, help=jobs)
     where.add_argument("--cluster", metavar="ADDRESS", help="the Dask scheduler that distributes the runs")
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder of runs, table and plots (default: campaign-APP)")
-    output.add_argument("--reports", action="store_true", help="make the report of each run: some seconds a run")
+    output.add_argument("--out", metavar="DIR", help="folder for runs, table and plots (default: campaign-APP)")
+    output.add_argument("--reports", action="store_true", help="write the report of each run: some seconds for each")
     output.add_argument("--resume", action="store_true", help="continue the campaign in DIR")
     _quiet(output)
     _results(output)
@@ -334,25 +346,27 @@ def validate(command: Parser) -> None:
     _program(command)
     runs = command.add_argument_group("runs")
     _fleet(runs, "the fleet file (YAML)", required=True)
-    samples = "number of runs, each from another start (default: as many as E and G need)"
+    samples = "number of runs, each from another start (default: as many as --epsilon and --gamma need)"
     runs.add_argument("--samples", metavar="N", type=values.count, help=samples)
-    epsilon = "a run violates an assumption with a probability below E (default: 0.05)"
+    epsilon = "VALIDATED means: a run violates an assumption with a probability below E (default: 0.05)"
     runs.add_argument("--epsilon", metavar="E", type=values.probability, default=0.05, help=epsilon)
-    gamma = "the verdict has the confidence 1 - G (default: 0.05)"
+    gamma = "the confidence of the verdict is 1 - G (default: 0.05)"
     runs.add_argument("--gamma", metavar="G", type=values.probability, default=0.05, help=gamma)
-    runs.add_argument("--seconds", metavar="S", type=values.seconds, default=30.0, help="of each run (default: 30)")
-    runs.add_argument("--seed", metavar="K", type=values.natural, default=1, help="of the first run (default: 1)")
+    runs.add_argument(
+        "--seconds", metavar="S", type=values.seconds, default=30.0, help="length of each run (default: 30)"
+    )
+    runs.add_argument("--seed", metavar="K", type=values.natural, default=1, help="seed of the first run (default: 1)")
     _params(runs)
     reach = command.add_argument_group("reach sets")
     reach.add_argument("--reachsets", action="store_true", help="also compute the places that each platform can reach")
-    offset = "the target of a platform, from its start: metres east, north, up (default: 0.7,0.4,0)"
+    offset = "target of a platform, relative to its start: metres east, north, up (default: 0.7,0.4,0)"
     reach.add_argument("--offset", metavar="X,Y,Z", type=values.offset, default=(0.7, 0.4, 0.0), help=offset)
     where = command.add_argument_group("where to run")
-    jobs = "runs at a time (default: the number of cores)"
+    jobs = "number of simultaneous runs (default: the number of cores)"
     where.add_argument("--jobs", metavar="J", type=values.count, help=jobs)
     where.add_argument("--cluster", metavar="ADDRESS", help="the Dask scheduler that distributes the runs")
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder of runs, table and picture (default: validate-APP)")
+    output.add_argument("--out", metavar="DIR", help="folder for runs, table and picture (default: validate-APP)")
     _quiet(output)
     _format(output)
 
@@ -363,19 +377,19 @@ def replay(command: Parser) -> None:
     command.positional.add_argument("trace", metavar="TRACE", help=trace)
     _of_a_trace(command)
     limits = command.add_argument_group("limits")
-    limits.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit (default: none)")
+    limits.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit, in seconds (default: none)")
     _diagnostics(command.add_argument_group("output"))
 
 
 def audit(command: Parser) -> None:
     """Options of `koordgen audit`."""
-    traces = "robots' own traces, folders of them, a run's folder or its trace.jsonl"
+    traces = "traces of robots, folders with such traces, a run's folder, or its trace.jsonl"
     command.positional.add_argument("traces", metavar="TRACE", nargs="+", help=traces)
     _of_a_trace(command)
-    judging = command.add_argument_group("judging")
-    proof = "ask the prover about each invariant that was violated"
+    judging = command.add_argument_group("checks")
+    proof = "run the prover for each invariant that was violated"
     judging.add_argument("--prove", action="store_true", help=proof)
-    judging.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit (default: none)")
+    judging.add_argument("--seconds", metavar="S", type=values.seconds, help="time limit, in seconds (default: none)")
     output = command.add_argument_group("output")
     output.add_argument("--plot", metavar="FILE", help="draw the properties over time (png, svg or pdf)")
     _format(output)
@@ -385,7 +399,7 @@ def report(command: Parser) -> None:
     """Options of `koordgen report`."""
     _trace(command)
     output = command.add_argument_group("output")
-    page = "the page (default: report.html beside the trace)"
+    page = "the page to write (default: report.html beside the trace)"
     output.add_argument("-o", "--out", metavar="FILE", help=page)
 
 
@@ -402,8 +416,8 @@ def show(command: Parser) -> None:
     """Options of `koordgen show`."""
     _trace(command)
     time = command.add_argument_group("time")
-    when = "seconds since round 1 (default: the first violation, else the mission's end)"
-    time.add_argument("--at", metavar="S", type=values.moment, help=when)
+    when = "seconds since round 1 (default: the first violation; without one, the mission's end)"
+    time.add_argument("--at", metavar="S", type=values.time_of_run, help=when)
     _format(command.add_argument_group("output"))
 
 
@@ -427,7 +441,7 @@ def _trace(command: Parser) -> None:
 
 def _of_a_trace(command: Parser) -> None:
     program = command.add_argument_group("the trace's program")
-    where = "the program (default: that in the run's folder)"
+    where = "the program (default: the copy in the run's folder)"
     program.add_argument("--program", metavar="APP.koord", type=values.program, help=where)
     _fleet(program, "a fleet file (YAML), for the values of params")
     _params(program)
@@ -438,9 +452,9 @@ def _fleet(group: Group, help: str, required: bool = False) -> None:
 
 
 def _params(group: Group) -> None:
-    value = "the value of a param; it replaces the fleet file's; may be repeated"
+    value = "value of a param, which replaces that of the fleet file; may be repeated"
     group.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
-    functions = "Python of the extern functions (default: APP_functions.py beside the program)"
+    functions = "Python file of the extern functions (default: APP_functions.py beside the program)"
     group.add_argument("--functions", metavar="FILE", help=functions)
 
 
@@ -449,28 +463,28 @@ def _duration(group: Group, help: str) -> None:
 
 
 def _key(group: Group) -> None:
-    where = "the fleet's key (default: beside the fleet file, or in the working directory)"
+    where = "file of the fleet's key (default: beside the fleet file, or in the working directory)"
     group.add_argument("--key", metavar="FILE", help=where)
 
 
 def _deployed(command: Parser) -> None:
     _named_fleet(command)
-    robots = "the robots that are meant (default: all of the fleet)"
+    robots = "names of robots (default: all robots of the fleet)"
     command.positional.add_argument("robots", metavar="ROBOT", nargs="*", help=robots)
 
 
 def _named_fleet(command: Parser) -> None:
     command.positional.add_argument("fleet", metavar="FLEET", type=values.fleet, help="the fleet file (YAML)")
-    command.set_defaults(format="text")  # of mistakes in that file
+    command.set_defaults(format="text")  # of errors in the fleet file
 
 
 def _ssh(command: Parser) -> None:
     group = command.add_argument_group("ssh")
-    config = "configuration of SSH (default: ~/.ssh/config)"
+    config = "SSH configuration file (default: ~/.ssh/config)"
     group.add_argument("--ssh-config", metavar="FILE", help=config)
-    known = "host keys that are trusted (default: as SSH is configured, ~/.ssh/known_hosts)"
+    known = "file of trusted host keys (default: as SSH is configured, ~/.ssh/known_hosts)"
     group.add_argument("--known-hosts", metavar="FILE", help=known)
-    identity = "your private key (default: as SSH is configured, or that of ssh-agent)"
+    identity = "file of your private key (default: as SSH is configured, or that of ssh-agent)"
     group.add_argument("--identity", metavar="FILE", help=identity)
 
 
@@ -485,7 +499,7 @@ def _quiet(group: Group) -> None:
 
 
 def _foxglove(group: Group, what: str) -> None:
-    help = f"stream the {what} to Foxglove, at this port of 127.0.0.1; 0: any free one (default of PORT: 8765)"
+    help = f"stream the {what} to Foxglove, at this port of 127.0.0.1; 0: any free port (default of PORT: 8765)"
     group.add_argument("--foxglove", metavar="PORT", type=values.port_or_any, nargs="?", const=8765, help=help)
 
 

@@ -1,4 +1,4 @@
-"""Argument parser of one command: help with options in groups, and errors that name the nearest option."""
+"""Argument parser of one command: help with options in groups, and errors that propose a similar option."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import NamedTuple, NoReturn
 
-USAGE = 2  # the exit status of a command that was called wrongly
+USAGE = 2  # exit status after wrong options or arguments
 _NEGATIVE = re.compile(r"-[\d.]")
 
 
 class Command(NamedTuple):
-    """One command: its part of the overview, one sentence, its options, its documentation page, and two examples."""
+    """A command: part of the overview, summary, function that adds its options, documentation page, two examples."""
 
     part: str
     summary: str
@@ -24,10 +24,10 @@ class Command(NamedTuple):
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser of `koordgen NAME`. Options are never abbreviated.
+    """Parser of `koordgen NAME`. Options cannot be abbreviated.
 
-    argparse asks for the width of the terminal at every argument, which takes 3 ms. This parser asks for it only when
-    it shows help.
+    argparse determines the terminal's width for every argument, which takes 3 ms. This parser determines it only to
+    print help.
     """
 
     def __init__(self, name: str, command: Command) -> None:
@@ -42,14 +42,14 @@ class Parser(argparse.ArgumentParser):
         self._arguments: Sequence[str] = ()
         self.positional = self.add_argument_group("arguments")
         command.fill(self)
-        self.add_argument_group("help").add_argument("-h", "--help", action="help", help="show this help and end")
+        self.add_argument_group("help").add_argument("-h", "--help", action="help", help="show this help and exit")
 
     def parsed(self, arguments: Sequence[str]) -> argparse.Namespace:
-        """Return the options. Raises SystemExit when they are wrong, and after printing help."""
+        """Return the options. Raises SystemExit if they are wrong, and after printing help."""
         self._arguments = arguments
         options, more = self.parse_known_args(arguments)
         if more and not any(argument.startswith("-") for argument in more):
-            # argparse fills a list of arguments with those before an option, and leaves those behind it.
+            # argparse puts the arguments before an option into a list of arguments, but not those after the option.
             for action in self._actions:
                 if action.nargs == "*" and not action.option_strings:
                     getattr(options, action.dest).extend(more)
@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
         return super().format_help()
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage of this command, the error and a way out; leave with status 2."""
+        """Print the usage of this command, the error and a help text; exit with status 2."""
         before, unknown = self._unknown()
         help = f"`{self.prog} --help` lists its options"
         if unknown:
@@ -81,11 +81,11 @@ class Parser(argparse.ArgumentParser):
                 help = f"did you mean {near}? {help}"
         from koordgen.cli.base.terminal import coloured_message
 
-        told = f"{self.format_usage()}error: {message}\n  help: {help}\n"
-        self.exit(USAGE, coloured_message(told, sys.stderr))
+        text = f"{self.format_usage()}error: {message}\n  help: {help}\n"
+        self.exit(USAGE, coloured_message(text, sys.stderr))
 
     def _unknown(self) -> tuple[str, str]:
-        """Return the first argument that looks like an option and is none, and the argument before it; else empty."""
+        """Return (argument before it, option) for the first unknown option; ("", "") if all are known."""
         known = {name for action in self._actions for name in action.option_strings}
         for before, argument in pairwise(["", *self._arguments]):
             if argument == "--":
@@ -99,7 +99,7 @@ class Parser(argparse.ArgumentParser):
         return "", ""
 
     def _usage(self) -> str:
-        """Return the arguments and the options that must be given; the list below the usage shows the others."""
+        """Return the usage line: arguments and required options. Other options are in the list below it."""
         words = [self.prog]
         for action in self._actions:
             metavar = str(action.metavar or action.dest)
@@ -113,7 +113,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return the known words that `word` may stand for, as text: those that begin with it, else the most similar."""
+    """Return the known words that begin with `word`, or else the most similar one, as text."""
     from difflib import get_close_matches
 
     known = sorted(set(known))
@@ -122,7 +122,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def sentence(summary: str) -> str:
-    """Return a summary as a sentence: with a capital and a full stop."""
+    """Return a summary as a sentence, with a capital letter and a full stop."""
     return f"{summary[0].upper()}{summary[1:]}."
 
 

@@ -1,4 +1,4 @@
-"""Diagnostics as SARIF 2.1.0, the form that code hosts and editors show at the lines of a change."""
+"""Diagnostics as SARIF 2.1.0, a format that code hosts and editors show at the lines of a change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sa
 
 
 def to_sarif(found: Iterable[tuple[Source, Diagnostic]], folder: Path) -> str:
-    """A log of one run. Files under `folder`, absolute, are named relative to it. Its rules are the codes found."""
+    """Return a SARIF log of one run; its rules are the codes found. Paths in `folder` (absolute) are relative to it."""
     pairs = list(found)
     codes = sorted({d.code for _, d in pairs})
     results = [_result(source, d, codes.index(d.code), folder) for source, d in pairs]
@@ -74,10 +74,10 @@ def _region(span: Span) -> dict[str, int]:
 
 def _uri(path: str, folder: Path) -> str:
     whole = Path(os.path.normpath(folder / path))
-    # Bytes, because a name need not be UTF-8; a colon is quoted, or what stands before it would be a scheme.
+    # Bytes, because a name may not be UTF-8. A colon is quoted: the text before it would be read as a URI scheme.
     return quote(os.fsencode(whole.relative_to(folder))) if whole.is_relative_to(folder) else whole.as_uri()
 
 
 def _literal(text: str) -> str:
-    """SARIF keeps single braces for placeholders (section 3.11.5)."""
+    """Escape braces: in SARIF, single braces are placeholders (section 3.11.5)."""
     return text.replace("{", "{{").replace("}", "}}")

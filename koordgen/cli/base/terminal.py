@@ -1,4 +1,4 @@
-"""Output on a terminal: a line that is written over again and again, and colours for errors and verdicts."""
+"""Terminal output: a progress line that is overwritten, and colours for errors and verdicts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _COLOURS = {
     "FALSIFIED": _RED, "NOT INDUCTIVE": _RED, "VIOLATED": _RED, "UNSOUND": _RED, "violated": _RED,
     "UNKNOWN": _YELLOW, "VACUOUS": _YELLOW, "INCONCLUSIVE": _YELLOW,
 }  # fmt: skip
-# What stands before the word is matched, too, and stays as it is.
+# The pattern also matches the text before the word, which stays as it is.
 _KINDS = re.compile(r"(?m)^(.*?:\d+:\d+: | *= |  )?(error|warning|note|help)(?=(?:\[\w+\])?:)")
 _CARETS = re.compile(r"(?m)^( *\| *)(\^+)")
 _VERDICTS = re.compile(
@@ -24,8 +24,8 @@ _VERDICTS = re.compile(
 )
 
 
-class Line:
-    """Shows the newest text only, as much of it as the terminal is wide."""
+class ProgressLine:
+    """Progress line: shows the latest text only, cut to the width of the terminal."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -34,12 +34,12 @@ class Line:
     def show(self, text: str) -> None:
         if self._stream.isatty():
             width = shutil.get_terminal_size().columns
-            self._shown = True  # before it is: an interrupt may come in between
+            self._shown = True  # set before writing, since an interrupt may come in between
             self._stream.write(f"\r\x1b[K{text[: max(20, width - 1)]}")
             self._stream.flush()
 
     def end(self) -> None:
-        """What comes next is another line."""
+        """End the line: further output begins in a new line."""
         if self._shown:
             self._stream.write("\n")
             self._shown = False
@@ -51,19 +51,19 @@ def has_colours(stream: TextIO) -> bool:
 
 
 def coloured_message(text: str, stream: TextIO) -> str:
-    """Return a message with its kind and the marks below a source line in colours, where the stream has colours."""
+    """Colour the kind of a message and the marks below its source line, if the stream has colours."""
     if not has_colours(stream):
         return text
     return _CARETS.sub(_word, _KINDS.sub(_word, text))
 
 
 def coloured_verdicts(text: str, stream: TextIO) -> str:
-    """Return a report with its verdicts in colours, where the stream has colours."""
+    """Colour the verdicts of a report, if the stream has colours."""
     return _VERDICTS.sub(_word, text) if has_colours(stream) else text
 
 
 def coloured_name(name: str, index: int, stream: TextIO) -> str:
-    """Return a robot's name in the colour of its place in the fleet, where the stream has colours."""
+    """Colour a robot's name by its index in the fleet, if the stream has colours."""
     return f"\x1b[{_NAMES[index % len(_NAMES)]}m{name}\x1b[0m" if has_colours(stream) else name
 
 

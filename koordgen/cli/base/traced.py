@@ -1,4 +1,4 @@
-"""The program that a trace is of: named, or found beside it; and that it is this very one."""
+"""Program of a trace: named by an option or found in the run's folder, and checked by its hash."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from koordgen.cli.base.building import params
 from koordgen.cli.base.console import USAGE, WRONG, Failure
 from koordgen.lang.ir.decl import Program
 
-SOURCE, PARAMS = "source", "params.json"  # as bundle/plan.py and the harness leave them
+SOURCE, PARAMS = "source", "params.json"  # names in the run's folder, as in bundle/plan.py
 
 
 def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Program, Path | None]:
-    """The program of the trace at that path, and the file of its extern functions. Raises Rejected, Failure."""
+    """Return the program of the trace at `trace`, and its functions file or None. Raises Rejected, Failure.
+
+    `program_hash`: that of the trace; "" for a trace that is a counterexample.
+    """
     from koordgen.build.bundle.functions import functions_file
     from koordgen.build.emit.program import program_hash as hashed
     from koordgen.build.pipeline import check_file, fleet_params
@@ -32,21 +35,23 @@ def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Prog
     verify(program)
     functions = functions_file(program, place.parent, options.functions)
     if not program_hash:
-        shown = "counterexamples were run when they were found; `koordgen report` shows them"
-        raise Failure(WRONG, f"{trace} is not of a run", shown)
+        help = "counterexamples were run when they were found; `koordgen report` shows them"
+        raise Failure(WRONG, f"{trace} is a counterexample, not the trace of a run", help)
     its = hashed(program, functions.read_bytes() if functions and functions.is_file() else b"")
     if its != program_hash:
         raise Failure(
-            WRONG, f"{trace} is of a program with the hash {program_hash}; {place} has {its}",
-            "another version of the program, other params or other extern functions: name the right ones "
-            "(--program, --fleet, --param, --functions)",
+            WRONG, f"{trace} is the trace of a program with the hash {program_hash}, but {place} has {its}",
+            "program, params or extern functions have changed: name those of the run with --program, --fleet, "
+            "--param and --functions",
         )  # fmt: skip
     return program, functions
 
 
 def _place(options: Namespace, trace: Path) -> tuple[Path, dict[str, Any]]:
-    """Where the program is, and the values of its params that stand beside it: in the folder that the run left, which
-    may be this robot's run's, if none was named."""
+    """Return the program's path, and values of its params.
+
+    Without --program, both are those in the run's folder: the trace's own folder, or one of two folders above it.
+    """
     if options.program is not None:
         return Path(options.program), {}
     for folder in (trace.parent, *trace.absolute().parents[1:3]):

@@ -1,12 +1,12 @@
-"""Values of options: each function reads one text and raises ArgumentTypeError with the range that is allowed."""
+"""Parsers of options' values. Each raises ArgumentTypeError, whose message has the allowed range."""
 
 from __future__ import annotations
 
 import argparse
 import math
 
-MOST_ROBOTS = 128  # of a fleet, as koordgen/runtime/net/wire.py allows (a test compares them)
-MOST_PROVED = 1000  # robots for which `prove --robots` proves
+MOST_ROBOTS = 128  # in a fleet; equal to that of koordgen/runtime/net/wire.py (a test compares them)
+MOST_PROVED = 1000  # robots, for `prove --robots`
 LONGEST = 86400.0  # seconds
 
 
@@ -42,7 +42,7 @@ def seconds_or_none(text: str) -> float:
     return _number(text, 0.0, LONGEST, "seconds")
 
 
-def moment(text: str) -> float:
+def time_of_run(text: str) -> float:
     """Return a time of a run in seconds since round 1; before round 1 it is negative."""
     return _number(text, -LONGEST, LONGEST, "seconds since round 1")
 
@@ -78,7 +78,7 @@ def port(text: str) -> int:
 
 
 def port_or_any(text: str) -> int:
-    """Return a port of this host; 0: any free one."""
+    """Return a port of this host, 0 to 65535; 0 stands for any free port."""
     return _whole(text, 0, 65535)
 
 
@@ -103,7 +103,7 @@ def application(text: str) -> int:
 
 
 def robots(text: str) -> list[int | None]:
-    """Return the numbers of robots that `any` (None), `5` or `3..15` names."""
+    """Parse `any` (None), `5` or `3..15` into numbers of robots."""
     if text == "any":
         return [None]
     first, dots, last = text.partition("..")

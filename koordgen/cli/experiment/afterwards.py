@@ -24,7 +24,7 @@ def afterwards(options: Namespace) -> int:
         elif options.to == FORMAT:
             made, old = commands.upgrade(options.trace, options.out)
             if old == FORMAT:
-                console.say(f"note: {options.trace} is of format {FORMAT} already; this is a copy")
+                console.notify(f"note: {options.trace} is of format {FORMAT} already; this is a copy")
         else:
             made = commands.export(options.trace, options.to, options.out)
     except CannotMake as error:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.cli.base import building, console
-from koordgen.cli.base.terminal import Line
+from koordgen.cli.base.terminal import ProgressLine
 from koordgen.cli.experiment.harness import read_scenario
 from koordgen.experiment.campaign import drive, executor, plan, store, vary
 from koordgen.experiment.campaign.task import Job
@@ -61,7 +61,7 @@ def campaign(options: Namespace) -> int:
     verdict = _digest(Path(options.verdict).read_bytes()) if options.verdict else ""
     wanted = plan.CampaignPlan(app, _digest(sums), verdict, tuple(fixed), tuple(options.vary), count)
     out = Path(options.out or f"campaign-{app}")
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     show = (lambda _: None) if options.quiet else line.show
     with tempfile.TemporaryDirectory(prefix="koordgen-") as temporary:
         made = drive.Bundles(Path(temporary), harness.name, _builder(options, harness), runs)
@@ -230,7 +230,7 @@ def _ended(
     carry_out: Callable[[Callable[[], bool]], None],
     kept: store.CampaignStore,
     planned: int,
-    line: Line,
+    line: ProgressLine,
     again: str = "--resume",
 ) -> BaseException | None:
     """Execute the runs.

@@ -41,7 +41,7 @@ def harness(options: Namespace) -> int:
         target = manifest.load(options.command).alone
         Path(options.fleet).write_text(ALONE.format(target=target), encoding="utf-8")
         more = "a fleet file names more robots (`koordgen docs fleet`)"
-        console.say(f"note: no --fleet: one simulated {target} runs alone; {more}")
+        console.notify(f"note: no --fleet: one simulated {target} runs alone; {more}")
         return _harness(options)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from koordgen.build.pipeline import Checked, check_file, fleet_params
 from koordgen.cli.base import building, console
-from koordgen.cli.base.terminal import Line, coloured_verdicts
+from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.experiment import campaign as campaigns
 from koordgen.experiment.campaign import drive, store
 from koordgen.experiment.campaign.executor import ClusterUnreachable
@@ -49,7 +49,7 @@ def validate(options: Namespace) -> int:
     bundles, app = building.planned(aside, [harness.name])
     building.require_packages()
     out = Path(options.out or f"validate-{app}")
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     try:
         kept, ended = _sampled(aside, harness, bundles[harness.name], app, count, out, line)
         found = _report(options, checked, bundles[harness.name], kept, count, ended is None, line)
@@ -66,7 +66,7 @@ def validate(options: Namespace) -> int:
 
 def _report(
     options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.CampaignStore, count: int,
-    whole: bool, line: Line,
+    whole: bool, line: ProgressLine,
 ) -> table.ValidationReport:  # fmt: skip
     """Evaluate the samples. `whole`: nothing ended the sampling early. Raises OSError."""
     numbers = [k for k in sorted(kept.results) if k < count]
@@ -94,7 +94,7 @@ def _sampled(
     app: str,
     count: int,
     out: Path,
-    line: Line,
+    line: ProgressLine,
 ) -> tuple[store.CampaignStore, BaseException | None]:
     """Return the runs, including those that an earlier call finished, and what ended them early.
 
@@ -146,7 +146,7 @@ def _suggested(
     checked: Checked,
     judged: Sequence[AssumptionVerdict],
     found: Sequence[samples.RunSample],
-    line: Line,
+    line: ProgressLine,
 ) -> list[Suggestion]:
     """Return suggestions for each violated assumption; none without a solver, which is reported."""
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
@@ -163,11 +163,11 @@ def _suggested(
             ]
     except SolverMissing as error:
         line.end()
-        console.say(f"note: {error}: suggestions for weaker assumptions were not proved")
+        console.notify(f"note: {error}: suggestions for weaker assumptions were not proved")
         return []
 
 
-def _reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
+def _reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
 
     return make_reachsets(options, out, line)
 
@@ -202,7 +202,7 @@ def _print_report(
 FOLDER, RUNS = "reachsets", "probes"
 
 
-def make_reachsets(options: Namespace, out: Path, line: Line) -> dict[str, Any]:
+def make_reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
     """Return the files and the comparisons of the platforms for JSON; `text` is for people.
 
     Each call computes them again. Raises OSError, ClusterUnreachable."""

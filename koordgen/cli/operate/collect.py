@@ -7,7 +7,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from koordgen.cli.base import console
-from koordgen.cli.base.terminal import Line
+from koordgen.cli.base.terminal import ProgressLine
 from koordgen.cli.operate.fleet_commands import on_hosts
 from koordgen.cli.operate.ssh import read_fleet, status_of
 from koordgen.fleet.file import Fleet
@@ -45,7 +45,7 @@ def collect(options: Namespace) -> int:
 
 
 def _collected(options: Namespace, fleet: Fleet, into: Folder) -> Collection:
-    line, total = Line(sys.stderr), 0
+    line, total = ProgressLine(sys.stderr), 0
 
     def progress(count: int) -> None:
         nonlocal total
@@ -74,17 +74,17 @@ def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
         whole = flown(folder)
         program = write_source(folder, found.programs, whole.log.program_hash)
         if program is None:
-            console.say(
+            console.notify(
                 f"warning: no release on the robots is of the program that flew, whose hash is {whole.log.program_hash}"
                 f"\n  help: {apart}"
             )
             return False
         write_trace(folder, whole, program, fleet)
     except BadTrace as error:
-        console.say(f"warning: the traces cannot be merged: {error}\n  help: {apart}")
+        console.notify(f"warning: the traces cannot be merged: {error}\n  help: {apart}")
         return False
     for note in whole.notes:
-        console.say(f"note: {note}")
+        console.notify(f"note: {note}")
     return True
 
 

@@ -27,8 +27,8 @@ def dashboard(options: Namespace) -> int:
     """Serve the dashboard of a fleet until Ctrl-C."""
     try:
         allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
-        found = find_fleet(Path(options.fleet), console.say)
-        key = find_key(found, options.fleet, options.key, console.say)
+        found = find_fleet(Path(options.fleet), console.notify)
+        key = find_key(found, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     except Refused as error:
@@ -78,7 +78,7 @@ def _stream(header: Header, port: int) -> FoxgloveServer:
         raise console.Failure(console.SURROUNDINGS, message, pip_install("'koordgen[foxglove]'")) from None
     except OSError as error:
         raise console.Failure(console.SURROUNDINGS, str(error)) from None
-    console.say(f"foxglove: {server.url}")
+    console.notify(f"foxglove: {server.url}")
     return server
 
 
@@ -93,7 +93,7 @@ def _facts(fleet: Fleet, path: str) -> Facts:
         read, _ = read_fleet(path, all_targets(), None)
     except Rejected as error:
         reason = error.found[0][1].message if error.found else "it cannot be read"
-        console.say(f"warning: the map has no obstacles: {path}: {reason}")
+        console.notify(f"warning: the map has no obstacles: {path}: {reason}")
         return Facts(fleet, {})
     plain = {
         "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
@@ -107,7 +107,7 @@ def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]
 
     def stop() -> list[dict[str, Any]]:
         results = stop_all(fleet.places, fleet.application, key, PATIENCE)
-        console.say(f"emergency stop from the dashboard\n{show(results, 'text')}")
+        console.notify(f"emergency stop from the dashboard\n{show(results, 'text')}")
         robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
         return robots
 

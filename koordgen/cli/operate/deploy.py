@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.cli.base import building, console
-from koordgen.cli.base.terminal import Line
+from koordgen.cli.base.terminal import ProgressLine
 from koordgen.cli.operate import ssh
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
 
 @contextmanager
 def _progress(options: Namespace) -> Iterator[Say]:
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
     shown = not options.quiet and options.format == "text"
     try:
         yield line.show if shown else lambda text: None
@@ -199,8 +199,8 @@ def _report_failure(options: Namespace, failed: Failed) -> int:
         console.print_document(options, {"release": None, "outcome": failed.outcome, "errors": errors})
         return status
     for error in failed.errors:
-        console.say(f"error: {error}" + (f"\n  help: {error.help}" if error.help else ""))
-    console.say(failed.outcome if failed.errors else f"interrupted; {failed.outcome}")
+        console.notify(f"error: {error}" + (f"\n  help: {error.help}" if error.help else ""))
+    console.notify(failed.outcome if failed.errors else f"interrupted; {failed.outcome}")
     return status
 
 

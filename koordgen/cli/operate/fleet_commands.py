@@ -67,7 +67,7 @@ def logs(options: Namespace) -> int:
 
     def note(error: HostError) -> None:
         lost.append(error)
-        console.say(f"warning: {describe([error])}")
+        console.notify(f"warning: {describe([error])}")
 
     robots = _chosen(fleet, options.robots)
     on_hosts(options, fleet, robots, lambda opened: show_lines(opened, options.lines, options.follow, show, note))

@@ -23,8 +23,8 @@ _EVERY = 1.0  # seconds from one table to the next
 def status(options: Namespace) -> int:
     """Ask the fleet and print the answers; the status says whether all robots answered and are of one release."""
     try:
-        fleet = find_fleet(Path(options.fleet), console.say)
-        key = find_key(fleet, options.fleet, options.key, console.say)
+        fleet = find_fleet(Path(options.fleet), console.notify)
+        key = find_key(fleet, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     while True:
@@ -57,7 +57,9 @@ def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
     try:
         return asyncio.run(ask())
     except NoHosts as error:
-        console.say(f"warning: the hosts of {', '.join(silent)} were not asked over SSH: {error}\n  help: {error.help}")
+        console.notify(
+            f"warning: the hosts of {', '.join(silent)} were not asked over SSH: {error}\n  help: {error.help}"
+        )
         return answers
 
 

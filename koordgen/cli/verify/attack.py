@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, INTERNAL, WRONG, Failure, say
+from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, INTERNAL, WRONG, Failure, notify
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -105,9 +105,9 @@ def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contr
         with open(name, "w", encoding="utf-8") as file:
             file.write(to_text(contradiction, proved, program_hash(program), program.path))
     except OSError as error:
-        say(f"error: {name}: {error.strerror or error}\n  help: {told}: please report {path}, with this command")
+        notify(f"error: {name}: {error.strerror or error}\n  help: {told}: please report {path}, with this command")
         return
-    say(
+    notify(
         f"error: the verdict about {contradiction.breach.invariant} is UNSOUND: {told}\n"
         f"  help: please report {name} together with {path};"
         f" `koordgen prove {path} --attack-from {name}` runs the state again"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
-from koordgen.cli.base.terminal import Line, coloured_verdicts
+from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
@@ -67,7 +67,12 @@ def _judged(
     """Return the results, and why they do not cover the whole mission; empty if they do.
 
     Of the last round that was begun only a violation is counted."""
-    line, judge, reached, ended = Line(sys.stderr), PropertyJudge(GeneratedProperties(program, functions), whole), 0, ""
+    line, judge, reached, ended = (
+        ProgressLine(sys.stderr),
+        PropertyJudge(GeneratedProperties(program, functions), whole),
+        0,
+        "",
+    )
 
     def progress(round_: int, last: int) -> None:
         nonlocal reached

@@ -14,8 +14,17 @@ from koordgen.build.emit.program import functions_module
 from koordgen.build.pipeline import Checked, Rejected, check_file, read_fleet, read_source
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.building import params
-from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, INTERRUPTED, USAGE, VIOLATED, WRONG, Failure, tell
-from koordgen.cli.base.terminal import Line, coloured_verdicts
+from koordgen.cli.base.console import (
+    HOLDS,
+    INCONCLUSIVE,
+    INTERRUPTED,
+    USAGE,
+    VIOLATED,
+    WRONG,
+    Failure,
+    print_diagnostics,
+)
+from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.verify.prove import hash_of, save
 from koordgen.fleet import manifest
 from koordgen.lang.analyze.params import BadParam, with_params
@@ -48,7 +57,7 @@ def explore(options: Namespace) -> int:
     """Run the command. Return its exit status."""
     checked = check_file(options.program)
     if options.format == "text":
-        tell([(checked.source, d) for d in checked.noticed], options)
+        print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
     robots, from_fleet = _fleet(options, checked)
     try:
         around = _environment(options, checked.program, robots)
@@ -82,7 +91,7 @@ def _origin(options: Namespace, program: Program, robots: int, around: Environme
 def _search(
     options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], RunOrigin]
 ) -> ExplorationResult:
-    line = Line(sys.stderr)
+    line = ProgressLine(sys.stderr)
 
     def show(progress: ExplorationProgress) -> None:
         rate = progress.states / max(progress.seconds, 1e-9)

@@ -16,8 +16,8 @@ from koordgen.cli.base.console import (
     VIOLATED,
     Failure,
     install,
-    say,
-    tell,
+    notify,
+    print_diagnostics,
 )
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
 
     checked = check_file(options.program)
     if options.format == "text":
-        tell([(checked.source, d) for d in checked.noticed], options)
+        print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
     given = {**fleet_params(options.fleet, checked, options.program), **params(options.param)}
     question = fixed_params(checked.program, given)
     found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
@@ -79,7 +79,7 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
         if made:
             save(options.trace, made)
         else:
-            say(f"note: there is no counterexample, so no trace was written to {options.trace}")
+            notify(f"note: there is no counterexample, so no trace was written to {options.trace}")
     return status(found)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.cli.base.alarm import alarm
-from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, say
+from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, notify
 from koordgen.cli.base.traced import program_of
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
@@ -46,21 +46,21 @@ def replay(options: Namespace) -> int:
     except CannotCall as error:
         raise Failure(WRONG, str(error), "name it with --functions") from None
     for difference in found[:MOST_TOLD]:
-        say(_told(difference, trace))
+        notify(_told(difference, trace))
     if len(found) > MOST_TOLD:
-        say(f"... and {len(found) - MOST_TOLD} more")
+        notify(f"... and {len(found) - MOST_TOLD} more")
     late = f", {counts.late} that took too long not compared" if counts.late else ""
     if counts.violated:
         where = f"{_count(counts.violated, 'event')}"
-        say(f"note: a loop invariant was false in {where}, by the program: `koordgen audit` names it")
+        notify(f"note: a loop invariant was false in {where}, by the program: `koordgen audit` names it")
     robots = 1 if trace.own else len(trace.robots)
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:
-        say(f"note: {trace.place(trace.cut)}: the trace is cut off here; the part before was replayed")
+        notify(f"note: {trace.place(trace.cut)}: the trace is cut off here; the part before was replayed")
     if trace.since:
-        say(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
+        notify(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
     if ended:
-        say(f"note: ended by --seconds {options.seconds:g}: the rest of the trace was not replayed")
+        notify(f"note: ended by --seconds {options.seconds:g}: the rest of the trace was not replayed")
     if found:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED

@@ -1,6 +1,6 @@
-"""Second check: the analysis of the IR, which knows what holds at each point without running the program.
+"""Second check: static analysis of the IR, which derives facts at each point and applies rules there.
 
-Owns: `facts`, what is decided at a point; `rules`, one file each, with its explanation beside it; the walk.
-Offers: `program.check`, both checks of a program; `params.with_params`.
-Must not import: any module of `check` but the way in; format, or any room outside of `lang`.
+Owns: `facts`, conditions known at a point; `rules`, one file each with its explanation beside it; the walk.
+Offers: `program.check`, which runs both checks of a program; `params.with_params`.
+Must not import: modules of `check` except `sections.program`; format; any room outside of `lang`.
 """

@@ -1,16 +1,16 @@
-"""The analysis of events: what a guard says to the effect behind it, and whether the event can ever run."""
+"""Analysis of events: the guard's facts hold in the effect; rules find events that can never run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.expressions import analyze_expression
 from koordgen.lang.analyze.facts.path import Condition
 from koordgen.lang.analyze.rules.analysis import Analysis
-from koordgen.lang.analyze.rules.hidden_event import Judged, is_hidden
+from koordgen.lang.analyze.rules.hidden_event import AnalysedEvent, is_hidden
 from koordgen.lang.analyze.rules.never_enabled import MOST_EARLIER, always_holds, can_run
 from koordgen.lang.analyze.rules.opposite_guard import help_by_negation
-from koordgen.lang.analyze.statements import judge_block
+from koordgen.lang.analyze.statements import analyze_block
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.draft import Atomic
@@ -18,18 +18,18 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON
 
 
-def judge_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[decl.Event, Atomic | None]]:
-    """Return the events, still without their locks, each with its first `atomic` if it has one."""
+def analyze_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[decl.Event, Atomic | None]]:
+    """Analyse the events. Returns them without their locks, each with its first `atomic`, or None."""
     found: list[tuple[decl.Event, Atomic | None]] = []
-    earlier: list[Judged] = []
-    by_condition: dict[str, list[Judged]] = {}  # those of `earlier`, by one condition of their guards
-    transactions = "atomic" in a.source.text  # else no event need be searched for one
+    earlier: list[AnalysedEvent] = []
+    by_condition: dict[str, list[AnalysedEvent]] = {}  # `earlier`, by the least condition of each guard
+    transactions = "atomic" in a.source.text  # a quick test, to avoid a search in each event
     for event in written:
         atomic = _first_atomic(event) if transactions else None
-        judged = _event(event, atomic is not None, earlier, by_condition, a)
-        found.append((judged.event, atomic))
-        earlier.append(judged)
-        by_condition.setdefault(min(judged.conditions), []).append(judged)
+        analyzed = _event(event, atomic is not None, earlier, by_condition, a)
+        found.append((analyzed.event, atomic))
+        earlier.append(analyzed)
+        by_condition.setdefault(min(analyzed.conditions), []).append(analyzed)
     return found
 
 
@@ -40,18 +40,18 @@ def _first_atomic(event: decl.Event) -> Atomic | None:
 def _event(
     event: decl.Event,
     transaction: bool,
-    earlier: Sequence[Judged],
-    by_condition: Mapping[str, Sequence[Judged]],
+    earlier: Sequence[AnalysedEvent],
+    by_condition: Mapping[str, Sequence[AnalysedEvent]],
     a: Analysis,
-) -> Judged:
+) -> AnalysedEvent:
     a.enter("guard")
     a.transaction = transaction
     assert a.path is not None
-    first = _first(event, transaction, earlier)
+    first = _events_with_priority(event, transaction, earlier)
     for other in first[-MOST_EARLIER:]:
         if other.guard is not None:
             a.path = a.path.failing(other.guard)
-    guard = judge(event.guard, a)
+    guard = analyze_expression(event.guard, a)
     sound = not a.refuted
     known = Condition(guard, a.path) if guard.type is BOOL else None
     own = _conditions(event.guard, a)
@@ -66,16 +66,21 @@ def _event(
     a.sites, a.refuted = [], []
     if known is not None:
         a.guard, a.path = known, a.path.passing(known)
-    effect = judge_block(event.effect, a)
+    effect = analyze_block(event.effect, a)
     if sound:
         help_by_negation(event.guard.span, a)
-    judged = decl.Event(event.name, guard, effect, None, event.priority, event.span)
-    return Judged(judged, known, own, always)
+    analyzed = decl.Event(event.name, guard, effect, None, event.priority, event.span)
+    return AnalysedEvent(analyzed, known, own, always)
 
 
-def _first(event: decl.Event, transaction: bool, earlier: Sequence[Judged]) -> list[Judged]:
-    """Return the events before it in its `priority:` block whose guards are known to be false of all that it sees. A
-    transaction sees shared variables as they are, the guards were judged at the round's start: those are left out."""
+def _events_with_priority(
+    event: decl.Event, transaction: bool, earlier: Sequence[AnalysedEvent]
+) -> list[AnalysedEvent]:
+    """Return the earlier events of the `priority:` block whose guards must be false where this event runs.
+
+    Guards are evaluated at the round's start. A transaction sees the shared variables as they are now, so for it the
+    guards that read shared variables are left out.
+    """
     if event.priority is None:
         return []
     block = [other for other in earlier if other.event.priority == event.priority]
@@ -87,7 +92,7 @@ def _reads_shared(guard: ir.Expr) -> bool:
 
 
 def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
-    """Return the texts of what a guard joins by `and`."""
+    """Return the texts of the conditions that a guard joins by `and`."""
     pending, found = [guard], set[str]()
     while pending:
         node = pending.pop()
@@ -96,6 +101,6 @@ def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
         if isinstance(node, ir.Logic) and node.op == "and":
             pending += [node.left, node.right]
         else:
-            spread = node.span.line != node.span.end_line  # of which only the first line is at hand: like no other
+            spread = node.span.line != node.span.end_line  # only its first line is compared: the number tells it apart
             found.add(f"{a.text(node.span)} {node.span.line if spread else ''}")
     return frozenset(found)

@@ -1,6 +1,6 @@
-"""The analysis of expressions: what is known on the way to each index, divisor and read, and the rules asked there.
+"""Analysis of expressions: tracks the facts at each part of an expression and applies the rules there.
 
-`judge` returns an expression with `proved` set where a rule has shown that it cannot fail.
+`analyze_expression` sets `proved` on each index, slice and division that a rule has proved safe.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from koordgen.lang.analyze.facts.path import Condition
 from koordgen.lang.analyze.facts.terms import range_facts
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.divisor import divisor_proved
-from koordgen.lang.analyze.rules.element_index import element_proved, end_proved, holds_some
-from koordgen.lang.analyze.rules.known_value import judge_function, judge_power
+from koordgen.lang.analyze.rules.element_index import element_proved, end_proved, has_element
+from koordgen.lang.analyze.rules.known_value import check_function, check_power
 from koordgen.lang.analyze.rules.robot_index import index_proved
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import map_children
 from koordgen.lang.ir.types import BOOL, POISON, Sequence
 
 
-def judge(node: ir.Expr, a: Analysis) -> ir.Expr:
-    """Judge an expression at the point where the analysis is. An unchanged one is returned itself."""
+def analyze_expression(node: ir.Expr, a: Analysis) -> ir.Expr:
+    """Analyse an expression at the current point. Returns the same object if nothing changed."""
     rule = _RULES.get(type(node))
     return node if rule is None else rule(node, a)
 
 
 def _parts(node: Any, a: Analysis) -> Any:
-    return map_children(node, lambda child: judge(child, a))
+    return map_children(node, lambda child: analyze_expression(child, a))
 
 
 def _pid(node: ir.Pid, a: Analysis) -> ir.Expr:
@@ -48,7 +48,7 @@ def _shared(node: ir.SharedRead, a: Analysis) -> ir.Expr:
 
 
 def _slot(node: ir.SlotRead, a: Analysis) -> ir.Expr:
-    index = judge(node.index, a)
+    index = analyze_expression(node.index, a)
     proved = node.proved or index_proved(index, node.span, a)
     if index is node.index and proved is node.proved:
         return node
@@ -62,31 +62,31 @@ def _of_robot(node: ir.LocalOf | ir.PortOf, a: Analysis) -> ir.Expr:
 
 
 def _binary(node: ir.Binary, a: Analysis) -> ir.Expr:
-    left, right = judge(node.left, a), judge(node.right, a)
+    left, right = analyze_expression(node.left, a), analyze_expression(node.right, a)
     proved = node.proved or divisor_proved(right, node.span, a)
     if left is not node.left or right is not node.right or proved is not node.proved:
         node = ir.Binary(node.op, left, right, proved, node.type, node.span)
     if node.op == "**":
-        judge_power(node, a)
+        check_power(node, a)
     return node
 
 
 def _compare(node: ir.Compare, a: Analysis) -> ir.Expr:
-    left, right = judge(node.left, a), judge(node.right, a)
+    left, right = analyze_expression(node.left, a), analyze_expression(node.right, a)
     if left is node.left and right is node.right:
         return node
     return ir.Compare(node.op, left, right, node.type, node.span)
 
 
 def _logic(node: ir.Logic, a: Analysis) -> ir.Expr:
-    """The right side is evaluated only where the left one does not decide."""
-    left = judge(node.left, a)
+    """Analyse `and` or `or`. The right side is evaluated only if the left side does not decide the result."""
+    left = analyze_expression(node.left, a)
     path, poisoned = a.path, a.poisoned
     if path is not None and left.type is BOOL:
         held = Condition(left, path)
         a.path = path.passing(held) if node.op == "and" else path.failing(held)
     a.poisoned = poisoned or left.type is POISON
-    right = judge(node.right, a)
+    right = analyze_expression(node.right, a)
     a.path, a.poisoned = path, poisoned
     if left is node.left and right is node.right:
         return node
@@ -94,8 +94,8 @@ def _logic(node: ir.Logic, a: Analysis) -> ir.Expr:
 
 
 def _conditional(node: ir.Conditional, a: Analysis) -> ir.Expr:
-    """One of the two sides is evaluated."""
-    condition = judge(node.condition, a)
+    """Analyse `then if condition else orelse`. Only one of the two sides is evaluated."""
+    condition = analyze_expression(node.condition, a)
     path, poisoned = a.path, a.poisoned
     yes = no = path
     if path is not None and condition.type is BOOL:
@@ -103,9 +103,9 @@ def _conditional(node: ir.Conditional, a: Analysis) -> ir.Expr:
         yes, no = path.passing(known), path.failing(known)
     a.poisoned = poisoned or condition.type is POISON
     a.path = yes
-    then = judge(node.then, a)
+    then = analyze_expression(node.then, a)
     a.path = no
-    orelse = judge(node.orelse, a)
+    orelse = analyze_expression(node.orelse, a)
     a.path, a.poisoned = path, poisoned
     if condition is node.condition and then is node.then and orelse is node.orelse:
         return node
@@ -113,12 +113,12 @@ def _conditional(node: ir.Conditional, a: Analysis) -> ir.Expr:
 
 
 def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
-    domain = judge(node.domain, a)
+    domain = analyze_expression(node.domain, a)
     path = a.path
     if a.flow is not None:
         for fact in range_facts(node.name, domain, a.flow, a.flow):
-            a.flow = a.flow.knowing(fact)
-    body = judge(node.body, a)
+            a.flow = a.flow.assuming(fact)
+    body = analyze_expression(node.body, a)
     a.path = path
     if domain is node.domain and body is node.body:
         return node
@@ -126,9 +126,9 @@ def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
 
 
 def _at(node: ir.At, a: Analysis) -> ir.Expr:
-    operand, index = judge(node.operand, a), judge(node.index, a)
-    if index.span is node.span:  # of `pop()`, which has no index in the text: see `target.py`
-        proved = node.proved or holds_some(operand, a)
+    operand, index = analyze_expression(node.operand, a), analyze_expression(node.index, a)
+    if index.span is node.span:  # the index comes from `pop()`, not from the text: see `check/statements/target.py`
+        proved = node.proved or has_element(operand, a)
     else:
         proved = node.proved or element_proved(operand, index, node.span, a)
     if operand is node.operand and index is node.index and proved is node.proved:
@@ -140,18 +140,19 @@ def _slice(node: ir.Slice, a: Analysis) -> ir.Expr:
     found: ir.Slice = _parts(node, a)
     if found.proved:
         return found
-    ends = [end_proved(end, node.span, a) for end in (found.start, found.stop) if end is not None]  # each is reported
+    # A list, not a generator: both ends are checked and reported.
+    ends = [end_proved(end, node.span, a) for end in (found.start, found.stop) if end is not None]
     proved = all(ends)
     return ir.Slice(found.operand, found.start, found.stop, proved, node.type, node.span) if proved else found
 
 
 def _builtin(node: ir.Builtin, a: Analysis) -> ir.Expr:
-    args = tuple([judge(arg, a) for arg in node.args])
+    args = tuple([analyze_expression(arg, a) for arg in node.args])
     if any(new is not old for new, old in zip(args, node.args, strict=True)):
         node = ir.Builtin(node.name, args, node.type, node.span)
     name = node.name
     if name in FUNCTIONS:
-        judge_function(node, a)
+        check_function(node, a)
     elif name == "inserted":
         end_proved(args[1], args[1].span, a)
     elif name == "updated" or (name == "without" and isinstance(node.type, Sequence) and node.type.name == "List"):
@@ -160,7 +161,7 @@ def _builtin(node: ir.Builtin, a: Analysis) -> ir.Expr:
 
 
 _Rule = Callable[[Any, Analysis], ir.Expr]
-# By the class of the node; a class that is not here has no parts, and no rule.
+# Analysis of each class of node. A class that is missing has no parts and no rule.
 _RULES: dict[type, _Rule] = {
     ir.Pid: _pid,
     ir.LocalRead: _local,

@@ -1,29 +1,34 @@
-"""Transactions: the groups of shared variables that have one lock, and the events that need it."""
+"""Locks of transactions: groups of shared variables with a common lock, and the events that need it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from koordgen.lang.analyze.rules.plain_write import judge_plain_writes
-from koordgen.lang.findings import Findings
+from koordgen.lang.analyze.rules.plain_write import check_plain_writes
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.draft import Atomic
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import replace
+from koordgen.lang.reporter import Reporter
 
 Found = Sequence[tuple[decl.Event, Atomic | None]]
 Groups = tuple[tuple[str, ...], ...]
 
 
-def locked(found: Found, shared: tuple[decl.Shared, ...], findings: Findings) -> tuple[tuple[decl.Event, ...], Groups]:
-    """Return the events with their locks, and the groups of shared variables, in the order of their first declarations.
-    A transaction without shared variables needs no lock: it is as any event."""
+def with_locks(
+    found: Found, shared: tuple[decl.Shared, ...], reporter: Reporter
+) -> tuple[tuple[decl.Event, ...], Groups]:
+    """Return the events with their locks, and the groups of shared variables that each lock protects.
+
+    The groups are in the order of the declarations. A transaction without shared variables needs no lock and is treated
+    as a plain event.
+    """
     used = [_shared_in(event) if atomic else set() for event, atomic in found]
     if not any(used):
         return tuple([event for event, _ in found]), ()
     groups = _groups(used, [v.name for v in shared])
     number = {name: index for index, group in enumerate(groups) for name in group}
-    judge_plain_writes(found, used, findings)
+    check_plain_writes(found, used, reporter)
     events = [
         replace(event, lock=number[min(names)]) if names else event
         for (event, _), names in zip(found, used, strict=True)
@@ -38,7 +43,7 @@ def _shared_in(event: decl.Event) -> set[str]:
 
 
 def _groups(used: list[set[str]], declared: list[str]) -> Groups:
-    """Return the groups of variables that events connect."""
+    """Return groups of variables: those that one transaction uses are in one group (union-find)."""
     leader = {name: name for names in used for name in names}
 
     def top(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Sets a program's params for one build: a pass from IR to IR that replaces their defaults.
+"""Params of a build: a pass from IR to IR that replaces the defaults of a program's params.
 
 before: param float margin = 0.5        after `--param margin=0.8`: param float margin = 0.8
 """
@@ -32,7 +32,7 @@ from koordgen.lang.ir.types import (
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 
-# As YAML and JSON have them: lists of lists, tables by name.
+# Values as YAML and JSON load them.
 Value = int | float | bool | str | list["Value"] | dict["Value", "Value"]
 
 
@@ -41,9 +41,12 @@ class BadParam(Exception):
 
 
 def with_params(program: Program, values: Mapping[str, Value]) -> Program:
-    """The program with these values as defaults: numbers, booleans, strings; [x, y, z] in metres for a Point,
-    [position, yaw] for a Pose, [x, y, size] for a Grid; lists for List, Queue, Set and tuples; a table by key, or a
-    list of pairs, for a Map; a table by field for a record, whose missing fields have their first values."""
+    """Return the program with these values as the defaults of its params. Raises BadParam.
+
+    Values are numbers, booleans and strings; [x, y, z] in metres for a Point, [position, yaw] for a Pose, [x, y, size]
+    for a Grid; lists for List, Queue, Set and tuples; a dict, or a list of pairs, for a Map; a dict by field name for a
+    record, whose missing fields keep their initial values.
+    """
     declared = {p.name: p for p in program.params}
     for name in values:
         if name not in declared:
@@ -59,12 +62,15 @@ def with_params(program: Program, values: Mapping[str, Value]) -> Program:
     for variable in variables:
         wrong = flaw_of(variable.initial, variable.type, firsts)
         if wrong is not None:
-            raise BadParam(f"with these params the first value of {variable.name} {wrong.reason}")
+            raise BadParam(f"with these params the initial value of {variable.name} {wrong.reason}")
     return replace(program, params=tuple(params))
 
 
 def as_given(value: Value, type_: Type) -> Value:
-    """A value as traces have it, of records a list of its fields, as `with_params` takes it."""
+    """Convert a value from a trace to the form that `with_params` takes.
+
+    In a trace a record is a list of the values of its fields.
+    """
     match type_, value:
         case RecordType(_, fields), list():
             return {name: as_given(part, field) for part, (name, field) in zip(value, fields, strict=True)}
@@ -79,15 +85,17 @@ def as_given(value: Value, type_: Type) -> Value:
 
 
 def parse_value(text: str) -> Value:
-    """A value as written on the command line: 3, 0.5, true, x,y,z for a Point, JSON for what has parts; anything else
-    is a string. Raises BadParam where JSON is broken."""
+    """Parse a value from the command line: 3, 0.5, true, `x,y,z` for a Point, JSON for a value with parts.
+
+    Any other text is a string. Raises BadParam if JSON is malformed.
+    """
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
     if text[:1] in ("[", "{", '"'):
         try:
             value: Value = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise BadParam(f"{text!r} is no JSON: {error}") from None
+            raise BadParam(f"{text!r} is not JSON: {error}") from None
         return value
     for convert in (int, float):
         try:
@@ -101,7 +109,10 @@ def parse_value(text: str) -> Value:
 
 
 class _Reader:
-    """Turns values into constants of the IR; `what` is the place within the param: `param tasks[2].target`."""
+    """Converter of values to constants of the IR.
+
+    `what` names the part of the param: `param tasks[2].target`.
+    """
 
     def __init__(self, records: Mapping[str, Record], span: Span) -> None:
         self.records = records
@@ -137,7 +148,7 @@ class _Reader:
             case RecordType() if isinstance(value, dict):
                 return self.record(what, type_, value)
             case _:
-                raise misfit(what, type_, value)
+                raise wrong_type(what, type_, value)
 
     def record(self, what: str, type_: RecordType, value: dict[Value, Value]) -> Expr:
         fields = dict(type_.fields)
@@ -167,7 +178,7 @@ class _Reader:
                 return Builtin("Grid", self.parts(what, (INT, INT, FLOAT), (x, y, size)), GRID, self.span)
             case [position, yaw], "Pose":
                 return Builtin("Pose", self.parts(what, (POINT, FLOAT), (position, yaw)), POSE, self.span)
-        raise misfit(what, type_, value)
+        raise wrong_type(what, type_, value)
 
     def parts(self, what: str, types: tuple[Type, ...], values: tuple[Value, ...]) -> tuple[Expr, ...]:
         named = enumerate(zip(types, values, strict=True))
@@ -187,8 +198,8 @@ class _Reader:
             seen.add(item)
 
 
-def misfit(what: str, type_: Type, value: Value) -> BadParam:
-    """What is wrong with a value, and how one of its type is written."""
+def wrong_type(what: str, type_: Type, value: Value) -> BadParam:
+    """Return the error for a value of the wrong type; it says how to write a value of that type."""
     form = _form(type_)
     return BadParam(f"{what} is of type {type_}{form and f', written {form}'}; {value!r} does not fit")
 

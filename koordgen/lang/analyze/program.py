@@ -1,16 +1,16 @@
-"""Both checks of a program: names and types, which yield the IR with drafts, and the analysis of that.
+"""Both checks of a program: names and types, which yield IR with drafts, then the analysis of this IR.
 
-The analysis goes on beside errors of the first check: it judges what has a type. Rules that few programs need are
-imported when they are needed, because a check is short.
+The analysis also runs after errors of the first check, on the parts that have a type. Rules that few programs need are
+imported on demand, because their import takes long compared with a check.
 """
 
 from __future__ import annotations
 
-from koordgen.lang.analyze.events import judge_events
-from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.events import analyze_events
+from koordgen.lang.analyze.expressions import analyze_expression
 from koordgen.lang.analyze.rules.analysis import Analysis
-from koordgen.lang.analyze.rules.first_value import judge_first_value
-from koordgen.lang.analyze.statements import judge_block
+from koordgen.lang.analyze.rules.first_value import check_initial_value
+from koordgen.lang.analyze.statements import analyze_block
 from koordgen.lang.check.sections.program import resolve
 from koordgen.lang.diagnostics import Diagnostic, in_order
 from koordgen.lang.ir import decl
@@ -24,7 +24,7 @@ from koordgen.lang.syntax.walk import is_whole
 
 
 def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
-    """Return the typed program, or None where there are errors; and all diagnostics, in the order of the text."""
+    """Return the typed program, or None if there are errors, and all diagnostics in the order of the text."""
     draft, found = resolve(program, source)
     a = Analysis(source, draft.params)
     a.found = found
@@ -34,15 +34,15 @@ def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, li
 
 
 def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Program:
-    """Judge a program of drafts; return the program without them."""
+    """Analyse a program with drafts and return it without them."""
     records = tuple([_record(record, a) for record in program.records])
-    params = tuple([replace(p, default=_first(p.name, p.default, p.type, a)) for p in program.params])
-    shared = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.shared])
-    locals_ = tuple([replace(v, initial=_first(v.name, v.initial, v.type, a)) for v in program.locals])
+    params = tuple([replace(p, default=_initial_value(p.name, p.default, p.type, a)) for p in program.params])
+    shared = tuple([replace(v, initial=_initial_value(v.name, v.initial, v.type, a)) for v in program.shared])
+    locals_ = tuple([replace(v, initial=_initial_value(v.name, v.initial, v.type, a)) for v in program.locals])
     functions = tuple([_function(function, a) for function in program.functions])
     externs = tuple([_contract(function, a) for function in program.externs])
     a.enter("init")
-    init = judge_block(program.init, a)
+    init = analyze_block(program.init, a)
     events, locks = _events(program.events, shared, a)
     properties = tuple([replace(p, formula=_formula(p.formula, "property", a)) for p in program.properties])
     modules = tuple([_module(module, a) for module in program.modules])
@@ -51,52 +51,54 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
         shared, locals_, locks, init, events, properties,
     )  # fmt: skip
     if any(variable.type is BOOL for variable in locals_):
-        from koordgen.lang.analyze.rules.waiting import judge_waiting
+        from koordgen.lang.analyze.rules.waiting import check_waiting
 
-        judge_waiting(checked, lambda: is_whole(text), a)
+        check_waiting(checked, lambda: is_whole(text), a)
     return checked
 
 
 def _events(
     written: tuple[decl.Event, ...], shared: tuple[decl.Shared, ...], a: Analysis
 ) -> tuple[tuple[decl.Event, ...], tuple[tuple[str, ...], ...]]:
-    """Return the events, and the groups of shared variables that have one lock."""
-    judged = judge_events(written, a)
-    if all(atomic is None for _, atomic in judged):
-        return tuple([event for event, _ in judged]), ()
-    from koordgen.lang.analyze.locks import locked
+    """Return the events, and the groups of shared variables that have a common lock."""
+    analyzed = analyze_events(written, a)
+    if all(atomic is None for _, atomic in analyzed):
+        return tuple([event for event, _ in analyzed]), ()
+    from koordgen.lang.analyze.locks import with_locks
 
-    return locked(judged, shared, a)
+    return with_locks(analyzed, shared, a)
 
 
-def _first(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
-    """Judge the first value of a param, a variable or a field."""
+def _initial_value(name: str, value: Expr, type_: Type, a: Analysis) -> Expr:
+    """Analyse the initial value of a param, a variable or a field."""
     before = len(a.found)
     value = _formula(value, "constant", a)
     if not a.has_errors(before):
-        judge_first_value(name, value, type_, a)
+        check_initial_value(name, value, type_, a)
     return value
 
 
 def _record(record: decl.Record, a: Analysis) -> decl.Record:
     fields = zip(record.type.fields, record.defaults, strict=True)
-    return replace(record, defaults=tuple([_first(name, value, type_, a) for (name, type_), value in fields]))
+    return replace(record, defaults=tuple([_initial_value(name, value, type_, a) for (name, type_), value in fields]))
 
 
 def _function(function: decl.Function, a: Analysis) -> decl.Function:
     a.enter("function")
-    block = judge_block(function.block, a)
+    block = analyze_block(function.block, a)
     if a.path is not None:
-        from koordgen.lang.analyze.rules.missing_return import judge_end
+        from koordgen.lang.analyze.rules.missing_return import check_end
 
-        judge_end(function, a)
+        check_end(function, a)
     return replace(function, block=block)
 
 
 def _contract(function: decl.ExternFunction, a: Analysis) -> decl.ExternFunction:
     a.enter("contract")
-    requires = tuple([judge(formula, a) for formula in function.requires])
-    return replace(function, requires=requires, ensures=tuple([judge(formula, a) for formula in function.ensures]))
+    requires = tuple([analyze_expression(formula, a) for formula in function.requires])
+    return replace(
+        function, requires=requires, ensures=tuple([analyze_expression(formula, a) for formula in function.ensures])
+    )
 
 
 def _module(module: decl.Module, a: Analysis) -> decl.Module:
@@ -108,4 +110,4 @@ def _module(module: decl.Module, a: Analysis) -> decl.Module:
 
 def _formula(formula: Expr, place: Section, a: Analysis) -> Expr:
     a.enter(place)
-    return judge(formula, a)
+    return analyze_expression(formula, a)

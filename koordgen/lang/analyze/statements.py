@@ -1,43 +1,55 @@
-"""The analysis of statements: what is known before and behind each, and the rules asked there."""
+"""Analysis of statements: facts before and after each statement, and the rules applied there."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
 
-from koordgen.lang.analyze.expressions import judge
+from koordgen.lang.analyze.expressions import analyze_expression
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.flow import Flow, independent
-from koordgen.lang.analyze.facts.induction import Step, Turns, behind, counters, kept, knowing, writes, written_down
+from koordgen.lang.analyze.facts.induction import (
+    LoopModel,
+    Step,
+    after_loop,
+    assuming,
+    declared_candidates,
+    guessed_bounds,
+    kept,
+    writes,
+)
 from koordgen.lang.analyze.facts.path import Condition, Path, is_open, joined
 from koordgen.lang.analyze.facts.runs import Loop
 from koordgen.lang.analyze.facts.terms import formula, range_facts, term
 from koordgen.lang.analyze.rules.analysis import Analysis
-from koordgen.lang.analyze.rules.loop_end import judge_end
-from koordgen.lang.analyze.rules.lost_update import judge_write
+from koordgen.lang.analyze.rules.loop_end import check_end
+from koordgen.lang.analyze.rules.lost_update import check_write
 from koordgen.lang.analyze.rules.own_slot import is_own
-from koordgen.lang.analyze.rules.unreachable import judge_branch, judge_loop, judge_statement
+from koordgen.lang.analyze.rules.unreachable import check_branch, check_loop, check_statement
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON
 
-MOST_LOOPS = 4  # within one another; in deeper ones nothing is looked for
+MOST_LOOPS = 4  # nesting of loops; in deeper loops no invariants are searched for
 _DOUBTS = frozenset(("K030", "K031", "K032", "K033", "K034"))
 
 
-def judge_block(block: Sequence[draft.Draft], a: Analysis) -> stmt.Block:
-    """Judge the statements of a block, and return them without drafts. `a.path` is None if no run gets to the end."""
-    judged: list[stmt.Stmt] = []
-    told = a.path is None
+def analyze_block(block: Sequence[draft.Draft], a: Analysis) -> stmt.Block:
+    """Analyse a block and return its statements without drafts.
+
+    Sets `a.path` to None if its end is unreachable.
+    """
+    analyzed: list[stmt.Stmt] = []
+    reported = a.path is None
     for statement in block:
-        if a.path is None and not told:
-            judge_statement(statement.span, a)
-            told = True
+        if a.path is None and not reported:
+            check_statement(statement.span, a)
+            reported = True
         found = _statement(statement, a)
         if found is not None and not _is_poisoned(found):
-            judged.append(found)
-    return tuple(judged)
+            analyzed.append(found)
+    return tuple(analyzed)
 
 
 def _is_poisoned(statement: stmt.Stmt) -> bool:
@@ -56,8 +68,8 @@ def _statement(statement: draft.Draft, a: Analysis) -> stmt.Stmt | None:
         case stmt.Assign():
             return _assign(statement, a)
         case stmt.Let(name, type_, value, span):
-            value = judge(value, a)
-            _learn(stmt.TempPlace(name), value, a)
+            value = analyze_expression(value, a)
+            _assign_fact(stmt.TempPlace(name), value, a)
             return stmt.Let(name, type_, value, span)
         case stmt.If():
             return _if(statement, a)
@@ -66,26 +78,26 @@ def _statement(statement: draft.Draft, a: Analysis) -> stmt.Stmt | None:
         case stmt.While():
             return _while(statement, a)
         case stmt.Emit(module, port, items, span):
-            return stmt.Emit(module, port, tuple([judge(item, a) for item in items]), span)
+            return stmt.Emit(module, port, tuple([analyze_expression(item, a) for item in items]), span)
         case stmt.Return(value, span):
-            value = judge(value, a)
+            value = analyze_expression(value, a)
             a.path = None
             return stmt.Return(value, span)
         case stmt.Break() | stmt.Continue() | stmt.Stop():
             a.path = None
             return statement
-        case draft.Wrong(parts):
+        case draft.WrongStmt(parts):
             for part in parts:
-                judge(part, a)
-        case draft.Unread():
-            a.poisoned = True  # what it does is not known: indices and divisors behind it are not judged
+                analyze_expression(part, a)
+        case draft.UnparsedStmt():
+            a.poisoned = True  # its effect is unknown, so indices and divisors after it are not checked
         case draft.Atomic():
             pass
     return None
 
 
-def _learn(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
-    """Behind `place = value`: what was known of the place is gone, and its new value may be known."""
+def _assign_fact(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
+    """Update the facts for `place = value`: drop those about the place, and add its new value if known."""
     if a.path is not None:
         a.path = a.path.assigning(place, value)
 
@@ -93,47 +105,50 @@ def _learn(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
 def _assign(node: stmt.Assign, a: Analysis) -> stmt.Stmt | None:
     place: stmt.Place | draft.SlotPlace = node.place
     if isinstance(place, draft.SlotPlace):
-        place = draft.SlotPlace(place.name, judge(place.index, a), place.span)
+        place = draft.SlotPlace(place.name, analyze_expression(place.index, a), place.span)
         own = is_own(place, a)
-        value = judge(node.value, a)
+        value = analyze_expression(node.value, a)
         if not own:
             return None
         place = stmt.OwnSlot(place.name)
     else:
-        value = judge(node.value, a)
+        value = analyze_expression(node.value, a)
     if isinstance(place, (stmt.LocalPlace, stmt.SharedPlace)):
         a.mentioned.add(place.name)
     if isinstance(place, stmt.SharedPlace):
-        judge_write(place.name, node.span, a)
-    _learn(place, value, a)
+        check_write(place.name, node.span, a)
+    _assign_fact(place, value, a)
     return node if place is node.place and value is node.value else stmt.Assign(place, value, node.span)
 
 
 def _if(node: stmt.If, a: Analysis) -> stmt.If:
-    """Each branch knows that its own condition holds, or that it does not; behind it holds what both branches leave."""
+    """Analyse `if`.
+
+    The condition is a fact in `then`, its negation in `orelse`; after both, common facts remain.
+    """
     mentioned = a.mentioned.copy()
-    condition = judge(node.condition, a)
+    condition = analyze_expression(node.condition, a)
     before = otherwise = a.path
     poisoned = a.poisoned
     if before is not None and condition.type is BOOL:
         passed = Condition(condition, before)
         if not poisoned and not is_open(condition, mentioned):
-            judge_branch(condition, passed.formula, node.span, before.flow, a)
+            check_branch(condition, passed.formula, node.span, before.flow, a)
         a.path, otherwise = before.passing(passed), before.failing(passed)
     a.poisoned = poisoned or condition.type is POISON
-    then = judge_block(node.then, a)
+    then = analyze_block(node.then, a)
     end, a.path = a.path, otherwise
-    orelse = judge_block(node.orelse, a)
+    orelse = analyze_block(node.orelse, a)
     a.poisoned = poisoned
     a.path = joined([end, a.path])
     return stmt.If(condition, then, orelse, node.span)
 
 
-# Loops: what is known in them and behind them
+# Loops: facts inside and after them
 
 
 def _for(node: stmt.For, a: Analysis) -> stmt.For:
-    values = judge(node.values, a)
+    values = analyze_expression(node.values, a)
     invariants = _invariants(node.invariants, a)
     names = node.names
     single = len(node.types) == 1 and len(names) == 1
@@ -152,24 +167,26 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
 
     def enter(flow: Flow) -> Flow:
         for fact in facts:
-            flow = flow.knowing(fact)
+            flow = flow.assuming(fact)
         return flow
 
-    def turns(block: stmt.Block) -> Turns:
+    def model(block: stmt.Block) -> LoopModel:
         assert before is not None and after is not None
         if not (counted and names):
-            return Turns(before, after, changed, sized, block, enter, _same, _same, _same, _same)
+            return LoopModel(
+                before, after, changed, sized, block, enter, _unchanged, _unchanged, _unchanged, _unchanged
+            )
         counting = _counting(names[0], values, before, changed, sized, block)
-        return Turns(before, after, changed, sized, block, enter, _same, *counting)
+        return LoopModel(before, after, changed, sized, block, enter, _unchanged, *counting)
 
-    block = _turn(node.block, after, enter, turns, invariants, None, a)
+    block = _iteration(node.block, after, enter, model, invariants, None, a)
     a.loop = around
-    a.path = None if after is None else _behind(turns(block), invariants, None)
+    a.path = None if after is None else _point_after_loop(model(block), invariants, None)
     return stmt.For(names, node.types, values, block, node.span, invariants)
 
 
 def _written_name(temp: str, head: str) -> str:
-    """Return how the program calls the variable of a loop, whose temp may have a number behind its name."""
+    """Return the name of a loop's variable in the text; its temp may have a numbered name."""
     name = re.sub(r"_\d+$", "", temp)
     return temp if re.search(rf"\b{temp}\b", head) else name
 
@@ -180,63 +197,70 @@ def _while(node: stmt.While, a: Analysis) -> stmt.While:
     changed, sized = _changed(node.block)
     start = before.forgetting(changed, sized) if before is not None else None
     a.flow = start
-    held = judge(node.condition, a)
+    held = analyze_expression(node.condition, a)
     known: linear.Formula = linear.UNKNOWN
     poisoned = a.poisoned
     if before is not None and start is not None and held.type is BOOL:
         known = formula(held, start)
-        judge_loop(held, formula(held, before), node.span, before, a)
+        check_loop(held, formula(held, before), node.span, before, a)
     a.poisoned = poisoned or held.type is POISON
     leaves = _breaks(node.block)
 
     def enter(flow: Flow) -> Flow:
-        return flow.knowing(known)
+        return flow.assuming(known)
 
     def leave(flow: Flow) -> Flow:
-        return flow if leaves else flow.knowing(linear.negate(known))
+        return flow if leaves else flow.assuming(linear.negate(known))
 
-    def turns(block: stmt.Block) -> Turns:
+    def model(block: stmt.Block) -> LoopModel:
         assert before is not None and start is not None
-        return Turns(before, start, changed, sized, block, enter, leave, _same, _same, _same)
+        return LoopModel(before, start, changed, sized, block, enter, leave, _unchanged, _unchanged, _unchanged)
 
-    block = _turn(node.block, start, enter, turns, invariants, held, a)
+    block = _iteration(node.block, start, enter, model, invariants, held, a)
     a.poisoned = poisoned
     endless = start is None or (known == linear.TRUE and not leaves)
-    a.path = None if endless else _behind(turns(block), invariants, held)
-    judge_end(node, a)
+    a.path = None if endless else _point_after_loop(model(block), invariants, held)
+    check_end(node, a)
     return stmt.While(held, block, node.span, invariants)
 
 
 def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tuple[stmt.LoopInvariant, ...]:
-    """Monitors report an invariant without a value: its indices and divisors are not judged. What it reads goes into no
-    write."""
+    """Analyse the invariants of a loop, without checks of their indices and divisors.
+
+    Monitors report an invariant that has no value. Its reads of shared variables do not count for lost updates, because
+    no write depends on them.
+    """
     if not invariants:
         return ()
     poisoned, shared, path = a.poisoned, a.read_shared.copy(), a.path
     a.poisoned = True
-    judged = tuple([stmt.LoopInvariant(judge(i.formula, a), i.span) for i in invariants])
+    analyzed = tuple([stmt.LoopInvariant(analyze_expression(i.formula, a), i.span) for i in invariants])
     a.poisoned, a.read_shared, a.path = poisoned, shared, path
-    return judged
+    return analyzed
 
 
 def _changed(block: stmt.Block) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the variables that a loop's block may change, by their names in a Flow, and those of them whose lengths it
-    leaves alone."""
+    """Return the variables that a loop's block may change, and those of them that keep their lengths.
+
+    Both are sets of names in a Flow.
+    """
     found = list(writes(block))
     changed = frozenset([name for name, _ in found])
     return changed, changed - {name for name, same_length in found if not same_length}
 
 
-def _same(flow: Flow) -> Flow:
+def _unchanged(flow: Flow) -> Flow:
     return flow
 
 
 def _counting(
     unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
-    """Return the steps that put the first, the next and the last value into the variable of a loop that counts; the
-    variable; and the first value that it does not take, where it counts up. A value of which nothing is known may be
-    any."""
+    """Return `first`, `next`, `last`, `counter` and `stop` of `LoopModel` for a loop over a range or over ID.
+
+    The first three set the loop's variable to its first, next and last value; an unknown value may be any. `stop` is
+    the first value that the variable does not take, known only if it counts up.
+    """
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)
     stop: linear.Linear | None = linear.variable(linear.N_SYS)
@@ -245,69 +269,75 @@ def _counting(
         first, stop, step = term(values.start, before), term(values.stop, before), values.step
         last = None
         if first is not None and stop is not None and step == 1:
-            last = linear.variable(linear.Choice(linear.at_least(stop, first), stop, first))
+            last = linear.variable(linear.ConditionalTerm(linear.at_least(stop, first), stop, first))
     kept = last is not None and independent(last, changed, sized)
     stays = step > 0 and stop is not None and independent(stop, changed, sized)
     moved = any(isinstance(n, stmt.Assign) and n.place == stmt.TempPlace(unique) for n in walk(block))
     following = None if moved else linear.combine(linear.variable(name), linear.constant(step))
     return (
         lambda flow: flow.assigned(name, first),
-        lambda flow: _stated(flow, name).assigned(name, following),
+        lambda flow: _values_as_conditions(flow, name).assigned(name, following),
         lambda flow: flow.assigned(name, last if kept else None),
         name,
         stop if stays else None,
     )
 
 
-def _stated(flow: Flow, name: str) -> Flow:
-    """Return the facts with each value that depends on a variable as a condition: a step of the variable moves it."""
+def _values_as_conditions(flow: Flow, name: str) -> Flow:
+    """Turn known values that depend on a variable into conditions, which a step of the variable can shift."""
     for other, (value, about) in flow.values.items():
         if name in about and isinstance(value, linear.Linear) and not other.startswith("len "):
-            flow = flow.knowing(linear.equal(linear.variable(other), value))
+            flow = flow.assuming(linear.equal(linear.variable(other), value))
     return flow
 
 
-def _turn(
-    written: stmt.Block, head: Flow | None, enter: Step, turns: Callable[[stmt.Block], Turns],
+def _iteration(
+    written: stmt.Block, head: Flow | None, enter: Step, model: Callable[[stmt.Block], LoopModel],
     invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None, a: Analysis,
 ) -> stmt.Block:  # fmt: skip
-    """Judge the block of a loop. If an index or a divisor in it is doubtful, look for conditions that each turn keeps,
-    and judge the block again with these."""
+    """Analyse the block of a loop.
+
+    If an index or a divisor in it may be wrong, search for conditions that hold in each iteration, and analyse the
+    block again with these facts.
+    """
     if head is not None:
         a.flow = enter(head)
-    mark = a.mark()
+    saved_state = a.saved_state()
     block = _body(written, a)
-    doubtful = any(found.code in _DOUBTS for found in a.found[mark.found :])
+    doubtful = any(found.code in _DOUBTS for found in a.found[saved_state.found :])
     if head is None or not doubtful or a.loops >= MOST_LOOPS:
         return block
-    whole = turns(block)
-    found = kept(whole, [*written_down(invariants), *counters(whole, condition)])
+    whole = model(block)
+    found = kept(whole, [*declared_candidates(invariants), *guessed_bounds(whole, condition)])
     if not found.inside:
         return block
-    a.back(mark)
-    a.flow = enter(knowing(head, found.inside))
+    a.restore(saved_state)
+    a.flow = enter(assuming(head, found.inside))
     return _body(written, a)
 
 
-def _behind(turns: Turns, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
-    """The point behind a loop. What its turns keep is looked for when somebody asks what is known there."""
+def _point_after_loop(model: LoopModel, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
+    """Return the point after a loop.
+
+    Its facts, which need a search for loop invariants, are computed on demand.
+    """
 
     def known() -> Flow:
-        found = kept(turns, [*written_down(invariants), *counters(turns, condition)])
-        return behind(turns, found)
+        found = kept(model, [*declared_candidates(invariants), *guessed_bounds(model, condition)])
+        return after_loop(model, found)
 
     return Path((), known)
 
 
 def _body(block: stmt.Block, a: Analysis) -> stmt.Block:
     a.loops += 1
-    judged = judge_block(block, a)
+    analyzed = analyze_block(block, a)
     a.loops -= 1
-    return judged
+    return analyzed
 
 
 def _breaks(block: stmt.Block) -> bool:
-    """Return whether a `break` leaves the loop of which this is the block."""
+    """Return whether the block of a loop has a `break` that leaves this loop."""
     for statement in block:
         match statement:
             case stmt.Break():

@@ -1,6 +1,8 @@
-"""First check: names and types, syntax tree to IR with drafts (see `ir.draft`).
+"""First check of a program: resolves names and types.
 
-Owns: names, types, and what may be read and written where; nothing that depends on the way to a statement.
+Makes IR with drafts (`ir.draft`) of the syntax tree.
+
+Owns: names, types, rules of what each section may read and write. Nothing here depends on control flow.
 Offers: `sections.program.resolve` to `analyze`.
 Must not import: analyze, format, or any room outside of `lang`.
 """

@@ -1,4 +1,4 @@
-"""What all checks of expressions share: the way in, what fits where, the values of variables that are given none."""
+"""Shared parts of expression checks: dispatch, conversion to an expected type, default values."""
 
 from __future__ import annotations
 
@@ -29,27 +29,37 @@ from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as ast
 
 NUMBERS = (INT, FLOAT)
-# By the class of the node; expr.py fills it. A table, because most of a check's time goes into finding the way.
+# Checker of each class of syntax tree node; expr.py fills it. A table, because dispatch takes most of a check's time.
 CHECKERS: dict[type, Callable[[Any, Context, Type | None], ir.Expr]] = {}
 _DISPLAYS = frozenset((ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tuple))
 
 
 def check_expr(node: ast.Expr, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """The typed form; POISON where it is wrong, which has been reported then. `wanted` is what the place takes, if that
-    is known: it gives empty displays their type, and ints in displays become floats. It is not enforced."""
+    """Return the typed expression, of type POISON if it is wrong; the mistake is then already reported.
+
+    `wanted` is the type that the context expects, if it is known. It gives empty displays their type and turns ints in
+    displays into floats. It is a hint: the result may be of another type.
+    """
     return CHECKERS[type(node)](node, c, wanted)
 
 
 def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
-    """An expression that must be a bool."""
+    """Check an expression that must be a bool; `what` names it in the message."""
     checked = CHECKERS[type(node)](node, c, None)
     if checked.type is BOOL or checked.type is POISON:
         return checked
-    return c.error("K013", f"{what} must be a bool, not {a(checked.type)}", node.span, as_bool(checked, c), (), checked)
+    return c.error(
+        "K013",
+        f"{what} must be a bool, not {with_article(checked.type)}",
+        node.span,
+        help_for_bool(checked, c),
+        (),
+        checked,
+    )
 
 
-def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
-    """The help for a value that stands where a bool is wanted, or, with `==`, its contrary."""
+def help_for_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
+    """Return the help for a value where a bool is expected; with `op` `==`, for its negation."""
     type_, text = value.type, c.text(value.span)
     if type_ in NUMBERS:
         return f"compare it: '{text} {op} 0'"
@@ -61,21 +71,21 @@ def as_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
 
 
 def is_poisoned(parts: Iterable[ir.Expr]) -> bool:
-    """Return whether there is an error in one of several expressions."""
+    """Return whether one of several expressions has an error that is already reported."""
     return any(part.type is POISON for part in parts)
 
 
-def same(first: Type, second: Type) -> bool:
+def same_type(first: Type, second: Type) -> bool:
     return first is second or first == second
 
 
 def widened(value: ir.Expr, type_: Type) -> ir.Expr:
-    """An int as a float where a float is wanted; anything else as it is."""
+    """Convert an int to a float if `type_` is float; return any other value unchanged."""
     return ir.Widen(value, FLOAT, value.span) if type_ is FLOAT and value.type is INT else value
 
 
-def fitting(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
-    """A value that must be of a type."""
+def converted(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+    """Return the value converted to a type; report a mismatch, which yields poison."""
     found = value.type
     if found is type_ or found is POISON or type_ is POISON:
         return value
@@ -83,60 +93,65 @@ def fitting(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
         return ir.Widen(value, FLOAT, value.span)
     if found == type_:
         return value
-    return misfit(value, type_, what, c)
+    return report_mismatch(value, type_, what, c)
 
 
-def argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
-    """A value that is handed over: there what every robot has one of serves as a list."""
+def converted_argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+    """Return an argument converted to its parameter's type.
+
+    An allread variable as a whole passes as a list.
+    """
     found = value.type
     listed = isinstance(found, PerRobot) and isinstance(type_, Sequence) and type_.name == "List"
-    if listed and same(found.element, type_.element):  # type: ignore[union-attr]
+    if listed and same_type(found.element, type_.element):  # type: ignore[union-attr]
         return value
-    return fitting(value, type_, what, c)
+    return converted(value, type_, what, c)
 
 
-def misfit(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
-    """Report that a value is not of the type that is wanted."""
+def report_mismatch(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
+    """Report that a value is not of the expected type."""
     found, help = value.type, ""
     if isinstance(found, PerRobot) and not isinstance(type_, PerRobot):
-        return per_robot(value, c)
+        return report_missing_index(value, c)
     if type_ is INT and found is FLOAT:
         divides = isinstance(value, ir.Binary) and value.op == "/"
         help = (
-            "'/' gives a float; '//' of two ints gives an int" if divides else "a float never becomes an int by itself"
+            "'/' gives a float; '//' of two ints gives an int"
+            if divides
+            else "a float is never converted to an int automatically"
         )
-        help += "" if divides else ": floor, ceil and round make one"
-    elif same(type_, STRING):
+        help += "" if divides else ": use floor, ceil or round"
+    elif same_type(type_, STRING):
         help = "str(...) makes a string of a number or a bool"
     elif type_ is POINT and isinstance(found, TupleOf):
         help = "write Point(x, y, z)"
     elif type_ is BOOL and found in NUMBERS:
-        help = as_bool(value, c)
+        help = help_for_bool(value, c)
     elif type_ in NUMBERS and found is BOOL:
         help = f"write '1 if {c.text(value.span)} else 0'"
-    return c.error("K012", f"{what} is {a(type_)}, not {a(found)}", value.span, help, (), value)
+    return c.error("K012", f"{what} is {with_article(type_)}, not {with_article(found)}", value.span, help, (), value)
 
 
-def per_robot(value: ir.Expr, c: Context) -> ir.Expr:
-    """Report that an allread variable stands, as a whole, where one value is wanted."""
+def report_missing_index(value: ir.Expr, c: Context) -> ir.Expr:
+    """Report that an allread variable stands without an index where a single value is expected."""
     text = c.text(value.span)
-    return c.error("K017", f"{text} has a value for each robot and needs an index", value.span, _own(text, c))
+    return c.error("K017", f"{text} has a value for each robot and needs an index", value.span, _index_help(text, c))
 
 
-def _own(text: str, c: Context) -> str:
+def _index_help(text: str, c: Context) -> str:
     if c.place in ("function", "contract"):
-        return f"{text}[i] is robot i's"
-    return f"{text}[i] is robot i's" if c.place == "property" else f"{text}[pid] is this robot's"
+        return f"{text}[i] is the value of robot i"
+    return f"{text}[i] is the value of robot i" if c.place == "property" else f"{text}[pid] is the value of this robot"
 
 
-def a(type_: Type) -> str:
-    """A type with its article."""
+def with_article(type_: Type) -> str:
+    """Return a type's name with its article: "an int"."""
     text = str(type_)
     return f"an {text}" if text[0] in "aeiouAEIO" else f"a {text}"
 
 
 def default(type_: Type, span: Span, c: Context) -> ir.Expr:
-    """The value of a variable that is given none."""
+    """Return the initial value of a variable that is declared without one."""
     match type_:
         case RecordType(name, fields):
             record = c.entities.get(name)
@@ -164,10 +179,13 @@ def default(type_: Type, span: Span, c: Context) -> ir.Expr:
 
 
 def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | ast.MapDisplay | ast.Tuple]:
-    """Whether an expression takes its type from the place where it stands, rather than has one."""
+    """Return whether an expression is a display (`[a]`, `{a}`, `{a: b}`, `(a, b)`).
+
+    Its context decides its type.
+    """
     return type(node) in _DISPLAYS
 
 
 def has_call(node: ir.Expr, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
-    """Whether something is called in an expression, of the program's own or outside."""
+    """Return whether an expression contains a call of one of `kinds`."""
     return any(isinstance(part, kinds) for part in walk(node))

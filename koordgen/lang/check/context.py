@@ -1,4 +1,4 @@
-"""State of the checker while it walks a program: the names, the place at which it is, the diagnostics."""
+"""State of the checker while it walks a program: names in scope, current section, diagnostics."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, cast
 
 from koordgen.lang.diagnostics import Diagnostic, Edit, Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.builtins import CONSTANTS, FUNCTIONS
 from koordgen.lang.ir.decl import (
@@ -26,61 +25,68 @@ from koordgen.lang.ir.expr import Const, Expr, Make
 from koordgen.lang.ir.stmt import Let
 from koordgen.lang.ir.types import GENERIC, NAMED, POISON, Type
 from koordgen.lang.node import Node
+from koordgen.lang.reporter import Reporter
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import stmt as tree
 
-# A Function's block is empty until its body has been checked: its signature is known to all bodies before.
+# A Function's block is empty until its body has been checked; other bodies need its signature only.
 Entity = Param | Module | Shared | Local | Record | ExternType | Function | ExternFunction | SpecFunction
 PREDEFINED = ("pid", "N_SYS", "ID", *FUNCTIONS, *CONSTANTS, *NAMED, *GENERIC, "range", "Queue", "Set", "Map")
 
 
 class Temp(Node):
-    """A variable of a block, a loop, a quantifier, or a parameter: `unique` is its name in the IR."""
+    """Variable of a block, loop or quantifier, or a parameter. `unique` is its name in the IR."""
 
     unique: str
     type: Type
     span: Span
 
 
-class Entry:
-    """Variables that `old(...)` may name in a loop's invariants. `begun`: temps that exist where the loop begins, by
-    their names in the IR; `values`: for each variable that was named, a declaration that keeps its value there."""
+class LoopEntry:
+    """Start of a loop, to which `old(...)` in the loop's invariants refers.
 
-    def __init__(self, begun: frozenset[str]) -> None:
-        self.begun = begun
+    `temps_before` has the temps that exist before the loop, by their names in the IR. `values` has, for each variable
+    in an `old(...)`, the declaration that saves its value before the loop.
+    """
+
+    def __init__(self, temps_before: frozenset[str]) -> None:
+        self.temps_before = temps_before
         self.values: dict[Expr, Let] = {}
 
 
-class Context(Findings):
-    """Mutable; one for a program. What belongs to one event (or function, or property) is set anew by `enter`."""
+class Context(Reporter):
+    """Mutable state of the check of a program. `enter` resets the part that belongs to one section."""
 
     def __init__(self, source: Source, program: ast.Program | None = None) -> None:
         super().__init__(source)
         self.program = program
-        self.owners: dict[str, Node] = {}  # a name -> the node that declares it, before it is an entity
-        self.entities: dict[str, Entity | None] = {}  # None: declared, but wrongly; its uses are no new mistakes
-        self.types: dict[str, Type | None] = {}  # records and extern types by name; None: declared wrongly
+        self.owners: dict[str, Node] = {}  # name -> syntax node that declares it; filled before `entities`
+        self.entities: dict[str, Entity | None] = {}  # None: its declaration is wrong, so its uses are not reported
+        self.types: dict[str, Type | None] = {}  # records and extern types by name; None: the declaration is wrong
         self.calls: dict[str, set[str]] = {}  # function -> the functions it calls
         self.enter("constant")
 
     def enter(self, place: Section) -> None:
-        """Begin a section: it has no temps yet."""
+        """Begin a section, without temps."""
         self.place: Section = place
         self.scopes: list[dict[str, Temp]] = [{}]
         self.minted: set[str] = set()
-        self.function = ""  # the `fun` whose body this is
-        self.result: Type | None = None  # its result type; None: not known yet (2020 dialect)
-        self.module = ""  # the module whose assumption this is
-        self.loops = 0  # how many loops stand around
-        self.entry: Entry | None = None  # of the loop whose invariant this is
-        self.atomic = 0  # how many `atomic` blocks stand around
-        self.written: set[str] = set()  # the allwrite variables that `init` has set
-        self.hoisted: list[Let] = []  # what must be evaluated before the statement that is being checked
+        self.function = ""  # name of the `fun` whose body is being checked
+        self.result: Type | None = None  # the function's result type; None: not known yet (2020 dialect)
+        self.module = ""  # module whose assumption is being checked
+        self.loops = 0  # number of enclosing loops
+        self.entry: LoopEntry | None = None  # start of the loop whose invariant is being checked
+        self.atomic = 0  # number of enclosing `atomic` blocks
+        self.written: set[str] = set()  # allwrite variables that `init` has set
+        self.hoisted: list[Let] = []  # declarations to evaluate before the statement that is being checked
 
     @cached_property
     def broken(self) -> frozenset[str]:
-        """Names that stand in what could not be read: what it may have meant to declare is no second mistake."""
+        """Names in text that could not be parsed.
+
+        It may declare them, so their uses are not reported as undefined.
+        """
         from koordgen.lang.syntax.walk import broken_names
 
         return broken_names(self.program) if self.program is not None else frozenset()
@@ -88,64 +94,67 @@ class Context(Findings):
     def error(
         self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = (), *parts: Expr
     ) -> Expr:
-        """Report a mistake; what stands there becomes poison. `parts` of it are still to be judged."""
+        """Report an error and return poison.
+
+        `parts` are its subexpressions, which later analysis still checks.
+        """
         self.report("error", code, message, span, help, labels)
         return self.poison(span, *parts)
 
-    def modern(self, old: str, new: str, span: Span, edits: tuple[Edit, ...] | None = None) -> None:
-        """Note a spelling of the 2020 dialect; `edits` modernise it (left out: `new` in its place)."""
+    def report_old_spelling(self, old: str, new: str, span: Span, edits: tuple[Edit, ...] | None = None) -> None:
+        """Report a spelling of the 2020 dialect. `edits` modernise it; by default `new` replaces the span."""
         edits = (Edit(span, new),) if edits is None else edits
         message = f"{old} is the 2020 dialect's spelling of {new}"
         self.found.append(Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites it", edits))
 
     def poison(self, span: Span, *parts: Expr) -> Expr:
-        """Return what stands where something wrong has been reported; `parts` of it are still to be judged."""
+        """Return poison: an expression whose error is reported. Later analysis still checks its `parts`."""
         return Make(parts, POISON, span) if parts else Const(0, POISON, span)
 
     def temp(self, name: str) -> Temp | None:
-        if name in self.minted:  # as every name in a scope is
+        if name in self.minted:  # every name in a scope is also in `minted`, and looking there is faster
             for scope in reversed(self.scopes):
                 if name in scope:
                     return scope[name]
         return None
 
     def mint(self, name: str) -> str:
-        """A name that no other temp of this event has."""
+        """Return a new name, which no other temp of this section has."""
         unique, number = name, 2
         while unique in self.minted:
             unique, number = f"{name}_{number}", number + 1
         self.minted.add(unique)
         return unique
 
-    def nearest(self, name: str, known: Iterable[str], meant: dict[str, str] | None = None) -> str:
-        """A help that names what may have been meant; empty when nothing comes near."""
+    def suggestion(self, name: str, known: Iterable[str], meant: dict[str, str] | None = None) -> str:
+        """Return a help that suggests a similar name; empty if no name is similar."""
         if meant and name in meant:
             return f"did you mean '{meant[name]}'?"
         from difflib import get_close_matches
 
-        # In a short name one letter is much: sin is not min.
+        # In a short name one letter makes a large difference: sin is not a misspelling of min.
         nearness = 0.6 if len(name) > 3 else 0.75
         for close in get_close_matches(name, known, 1, nearness) or [k for k in known if k.lower() == name.lower()]:
             return f"did you mean '{close}'?"
         return ""
 
-    def visible(self) -> list[str]:
-        """All names that can be read here."""
+    def visible_names(self) -> list[str]:
+        """Return all names that the current section can see."""
         return [*(n for scope in self.scopes for n in scope), *self.entities, *PREDEFINED]
 
 
-# Blocks of statements: the way into each.
+# Blocks of statements: dispatch.
 
-Out = list[Draft]  # where a checked statement goes, or the several that it becomes
-# By the class of the node; stmt.py fills it.
+Out = list[Draft]  # output of a statement's check: one statement may become several
+# Checker of each class of syntax tree node; stmt.py fills it.
 STATEMENTS: dict[type, Callable[[Any, Context, Out], None]] = {}
 
 
 def check_block(block: tree.Block, c: Context) -> stmt.Block:
-    """Return the statements of a block, drafts among them; its declarations end with it."""
+    """Check a block and return its statements, drafts included. Its declarations end with it."""
     c.scopes.append({})
     checked: Out = []
     for statement in block:
         STATEMENTS[type(statement)](statement, c, checked)
     c.scopes.pop()
-    return cast(stmt.Block, tuple(checked))  # the analysis takes the drafts out
+    return cast(stmt.Block, tuple(checked))  # the analysis removes the drafts

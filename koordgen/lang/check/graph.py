@@ -1,16 +1,19 @@
-"""What depends on what, in an order in which everything stands behind what it needs."""
+"""Topological order of a dependency graph, and its cycles."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
 
-def ordered(edges: Mapping[str, Iterable[str]]) -> tuple[list[str], list[list[str]]]:
-    """All names, each behind those it points to, and cycles, `[a, b]` for a -> b -> a: none when there is none, but not
-    all where they share names. Edges to names that are no keys do not count."""
+def topological_order(edges: Mapping[str, Iterable[str]]) -> tuple[list[str], list[list[str]]]:
+    """Return all names, each after the names that it points to, and cycles: `[a, b]` for a -> b -> a.
+
+    At least one cycle is returned if there is one; of cycles that share names, some may be left out. Edges to names
+    that are not keys are ignored.
+    """
     done: list[str] = []
     cycles: list[list[str]] = []
-    depth: dict[str, int] = {}  # of the names on the path from a root; -1: done
+    depth: dict[str, int] = {}  # index of each name on the path from a root; -1: done
     caught: set[str] = set()
     for root in edges:
         if root in depth:

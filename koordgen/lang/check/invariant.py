@@ -1,11 +1,11 @@
-"""Loop invariants: where one may stand, what it may read, and `old(x)`, a variable's value where the loop begins."""
+"""Loop invariants: their position, the names that they read, and `old(x)`, a value before the loop."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from koordgen.lang.check.base import check_expr, condition
-from koordgen.lang.check.context import STATEMENTS, Context, Entry, Out
+from koordgen.lang.check.context import STATEMENTS, Context, LoopEntry, Out
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk
@@ -16,12 +16,14 @@ from koordgen.lang.syntax import stmt as tree
 Invariants = tuple[stmt.LoopInvariant, ...]
 
 _HEAD = "write it as the first lines of the block of 'for' or 'while'"
-_LEAST = "it is evaluated behind the last turn, too, where there is no element: loop over range(len(...))"
+_LEAST = "it is also evaluated after the last iteration, when there is no element: loop over range(len(...))"
 
 
-def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
-    """The invariants at the head of a loop's block, and the other statements. A line among them that could not be read
-    may have been one."""
+def split_invariants(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
+    """Split a loop's block into the invariants at its head and the other statements.
+
+    A line that could not be parsed does not end the head: it may be an invariant.
+    """
     head = (tree.Invariant, tree.BrokenStmt)
     count = next((i for i, statement in enumerate(block) if not isinstance(statement, head)), len(block))
     invariants = tuple([s for s in block[:count] if isinstance(s, tree.Invariant)])
@@ -31,13 +33,16 @@ def split(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
 def check_invariants(
     written: tuple[tree.Invariant, ...], c: Context, out: Out, hidden: tuple[str, ...] = (), own: tuple[str, ...] = ()
 ) -> Invariants:
-    """The typed invariants of a loop; a `Let` for each `old(x)` goes to `out`, before the loop. `hidden` are the temps
-    of the loop that no invariant may read, `own` those that begin with the loop and have no old value."""
+    """Return the typed invariants of a loop. Appends a `Let` for each `old(x)` to `out`, before the loop.
+
+    `hidden` has the loop's temps that no invariant may read. `own` has the temps that begin with the loop, and so have
+    no old value.
+    """
     if not written:
         return ()
     around = c.entry
-    begun = frozenset(temp.unique for scope in c.scopes for temp in scope.values()) - {*hidden, *own}
-    c.entry = Entry(begun)
+    temps_before = frozenset(temp.unique for scope in c.scopes for temp in scope.values()) - {*hidden, *own}
+    c.entry = LoopEntry(temps_before)
     found = [stmt.LoopInvariant(condition(node.condition, c, "a loop invariant"), node.span) for node in written]
     out.extend(c.entry.values.values())
     c.entry = around
@@ -56,17 +61,20 @@ def _elements(formula: ir.Expr, hidden: tuple[str, ...]) -> Iterator[ir.TempRead
 
 
 def check_old(node: ast.Call, c: Context) -> ir.Expr:
-    """`old(x)` in a loop invariant: a read of the temp that has the value of `x` where the loop begins."""
+    """Check `old(x)` in a loop invariant.
+
+    Returns a read of the temp that saves the value of `x` before the loop.
+    """
     if c.entry is None:
-        help = "outside of one, keep the value in a variable: int before = x"
-        return c.error("K058", "'old' has a meaning in loop invariants only", node.span, help)
+        help = "elsewhere, save the value in a variable: int before = x"
+        return c.error("K058", "'old' can only be used in loop invariants", node.span, help)
     if len(node.args) != 1 or isinstance(node.args[0], ast.Keyword):
         return c.error("K014", f"old takes 1 argument, not {len(node.args)}", node.span, "old(variable)")
     read = check_expr(node.args[0], c)
     if read.type is POISON:
         return c.poison(node.span)
     text = c.text(read.span)
-    if isinstance(read, ir.TempRead) and read.name not in c.entry.begun:
+    if isinstance(read, ir.TempRead) and read.name not in c.entry.temps_before:
         help = "old takes a variable that is declared before the loop"
         return c.error("K058", f"{text} has no value where the loop begins", node.span, help)
     match read:
@@ -77,7 +85,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
         case _:
             name = ""
     if not name or isinstance(read.type, PerRobot):
-        help = "a part of it stands behind: old(xs)[i], old(p).x"
+        help = "write a part of it after the brackets: old(xs)[i], old(p).x"
         return c.error("K058", f"old takes a variable of this robot or a shared one, not {text}", node.span, help)
     let = c.entry.values.get(read)
     if let is None:
@@ -85,14 +93,14 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
     return ir.TempRead(let.name, read.type, node.span)
 
 
-def port_called(name: str, node: ast.Call, c: Context) -> ir.Expr:
-    """Report the call of a port in a loop invariant."""
-    help = f"ask before the loop and keep the answer: ... = {name}(...)"
+def report_port_call(name: str, node: ast.Call, c: Context) -> ir.Expr:
+    """Report a call of a port in a loop invariant."""
+    help = f"call it before the loop and save the answer: ... = {name}(...)"
     return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
 
 
 def _misplaced(node: tree.Invariant, c: Context, out: Out) -> None:
-    c.error("K058", "a loop invariant stands at the head of a loop's block only", node.span, _HEAD)
+    c.error("K058", "a loop invariant must stand at the head of a loop's block", node.span, _HEAD)
 
 
 STATEMENTS[tree.Invariant] = _misplaced

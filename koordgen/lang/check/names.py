@@ -1,4 +1,7 @@
-"""Who owns a name: variables, params, modules, functions, records and extern types share one space."""
+"""Declarations of names.
+
+Variables, params, modules, functions, records and extern types share one namespace.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,21 @@ Owner = (
 )  # fmt: skip
 
 
-def claim(program: ast.Program, c: Context) -> None:
-    """Gives each name to its first declaration in the text. A second one is reported; where the two differ, or the
-    first is the language's own, nobody knows what the uses mean, and they are no more mistakes."""
+def claim_names(program: ast.Program, c: Context) -> None:
+    """Give each name to its first declaration in the text, and report every further one.
+
+    If two declarations of a name differ, or the name is predefined, its uses are ambiguous and are not reported.
+    """
     kinds: dict[str, str] = {}  # of the variables
     for section in program.sections:
         match section:
             case ast.Variables(kind, variables):
                 for variable in variables:
-                    if not isinstance(variable.type, BrokenType):  # its name is a guess
-                        _take(variable.name, variable, kind, kinds, c)
+                    if not isinstance(variable.type, BrokenType):  # the parser only guessed its name
+                        _claim(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):
-                    _take(name, section, "", kinds, c)
+                    _claim(name, section, "", kinds, c)
             case ast.Event(name):
                 c.owners[f"event {name}"] = section  # it may share its name with a variable
             case ast.Priority(events):
@@ -36,11 +41,11 @@ def claim(program: ast.Program, c: Context) -> None:
             case ast.Init() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
                 pass
             case _:
-                _take(section.name, section, "", kinds, c)
+                _claim(section.name, section, "", kinds, c)
 
 
-def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
-    if reserved(name):
+def _claim(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) -> None:
+    if is_reserved(name):
         c.error("K011", f"{name} is predefined", node.span, "choose another name")
         c.entities[name] = None
         return
@@ -55,25 +60,31 @@ def _take(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context) 
         c.entities[name] = None
 
 
-def reserved(name: str) -> bool:
-    """Whether no declaration may have a name. What a builtin function is called is free, as in Python: 2020 programs
-    have variables called `sum`; types and the values they make are not."""
+def is_reserved(name: str) -> bool:
+    """Return whether a name is reserved: no declaration may have it.
+
+    Names of builtin functions are free, as in Python, because 2020 programs have variables called `sum`. Names of types
+    are reserved, also where they make values, as `Point` does.
+    """
     return name in PREDEFINED and not (name in FUNCTIONS and name.islower())
 
 
-def owns(name: str, node: Owner, c: Context) -> bool:
-    """Whether a declaration is the one that its name means."""
+def is_owner(name: str, node: Owner, c: Context) -> bool:
+    """Return whether a name belongs to this declaration, and not to an earlier one."""
     return c.owners.get(name) is node
 
 
 def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
-    """Make a declaration known, if its name is its own; None: of a wrong type."""
+    """Record a declaration's entity if the name belongs to it. None: the declaration is wrong."""
     if c.owners.get(name) is node and c.entities.get(name, c) is not None:
         c.entities[name] = entity
 
 
 def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
-    """Whether a name is new among its like, of which there is a space of their own."""
+    """Return whether a name is new in a namespace of its own, such as a record's fields.
+
+    If it is not, this is reported.
+    """
     first = seen.setdefault(name, span)
     if first is span:
         return True

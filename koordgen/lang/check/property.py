@@ -1,4 +1,4 @@
-"""Properties: what initially holds, what is to hold always, what is known of spec functions."""
+"""Properties: initial conditions, invariants, and axioms about spec functions."""
 
 from __future__ import annotations
 
@@ -14,26 +14,30 @@ from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
 from koordgen.lang.syntax.walk import parts
 
-_HANDED = (POINT, list_of(GRID))  # to a PathPlanner
+_PLANNER_ARGUMENTS = (POINT, list_of(GRID))  # types of the arguments of a PathPlanner
 
 
 def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Property, ...]:
-    """The properties in the order of their writing."""
+    """Check all properties and return them in the order of the text."""
     found = []
     seen: dict[str, Span] = {}
     for node in sections:
         if node.name:
             unique(node.name, "properties", node.span, seen, c)
         c.enter("property")
-        what = f"the {node.kind} {node.name}" if node.name else "what holds initially"
+        what = f"the {node.kind} {node.name}" if node.name else "the formula of 'initially'"
         formula = condition(node.formula, c, what)
         found.append(decl.Property(node.kind, node.name, formula, node.span))
     return tuple(found)
 
 
-def goal(name: str, span: Span, c: Context) -> Temp | None:
-    """Of a name that nothing has, in an assumption that hands it to a callable port of its module: from then on it
-    stands for every value that can be handed over there."""
+def bind_goal(name: str, span: Span, c: Context) -> Temp | None:
+    """Bind an undefined name that an assumption passes to a callable port of its module.
+
+    Returns None if it does not.
+
+    From then on the name stands for every value that the port takes in this place.
+    """
     module = c.entities.get(c.module)
     if not isinstance(module, decl.Module) or c.program is None:
         return None
@@ -42,16 +46,18 @@ def goal(name: str, span: Span, c: Context) -> Temp | None:
     at = span.line, span.column
     assumed = [item for item in items if isinstance(item, ast.Assume)]
     formulas = [item.formula for item in assumed if (item.span.line, item.span.column) < at]
-    place = next(_handed(formulas[-1], name, c.module, ports), None) if formulas else None
+    place = next(_argument_indices(formulas[-1], name, c.module, ports), None) if formulas else None
     if place is None:
         return None
-    temp = c.scopes[0][name] = Temp(c.mint(name), _HANDED[place], span)
+    temp = c.scopes[0][name] = Temp(c.mint(name), _PLANNER_ARGUMENTS[place], span)
     return temp
 
 
-def any_value(name: str, span: Span, c: Context) -> Temp | None:
-    """Of a name that nothing has, in an axiom that hands it to a function of the program: from then on it stands for
-    every value that the function takes there."""
+def bind_any_value(name: str, span: Span, c: Context) -> Temp | None:
+    """Bind an undefined name that an axiom passes to a function of the program; None if it does not.
+
+    From then on the name stands for every value of the parameter's type.
+    """
     if c.program is None:
         return None
     at = span.line, span.column
@@ -59,15 +65,15 @@ def any_value(name: str, span: Span, c: Context) -> Temp | None:
     before = [s for s in sections if (s.span.line, s.span.column) < at]
     if not before or before[-1].kind != "axiom":
         return None
-    type_ = next(_taken(before[-1].formula, name, c), None)
+    type_ = next(_parameter_types(before[-1].formula, name, c), None)
     if type_ is None:
         return None
     temp = c.scopes[0][name] = Temp(c.mint(name), type_, span)
     return temp
 
 
-def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
-    """The types of the parameters for which a name stands that no quantifier binds there."""
+def _parameter_types(node: object, name: str, c: Context) -> Iterator[Type]:
+    """Yield the type of each function parameter for which a name is passed that no quantifier binds."""
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
     if isinstance(node, tree.Call) and isinstance(node.function, tree.Name):
@@ -77,25 +83,30 @@ def _taken(node: object, name: str, c: Context) -> Iterator[Type]:
                 if isinstance(arg, tree.Name) and arg.name == name:
                     yield parameter.type
     for part in parts(node):
-        yield from _taken(part, name, c)
+        yield from _parameter_types(part, name, c)
 
 
-def _handed(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
-    """As which arguments of the module's callable ports a name stands that no quantifier binds there."""
+def _argument_indices(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
+    """Yield the index of each argument of the module's callable ports that is this name.
+
+    Occurrences that a quantifier binds are left out.
+    """
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
     if isinstance(node, tree.Call):
         match node.function:
-            case tree.Name(port) | tree.Attribute(tree.Name(), port) if port in ports and _of(module, node.function):
-                for place, arg in enumerate(node.args[: len(_HANDED)]):
+            case tree.Name(port) | tree.Attribute(tree.Name(), port) if port in ports and _is_port_of(
+                module, node.function
+            ):
+                for place, arg in enumerate(node.args[: len(_PLANNER_ARGUMENTS)]):
                     if isinstance(arg, tree.Name) and arg.name == name:
                         yield place
             case _:
                 pass
     for part in parts(node):
-        yield from _handed(part, name, module, ports)
+        yield from _argument_indices(part, name, module, ports)
 
 
-def _of(module: str, function: tree.Expr) -> bool:
-    """Whether a port is the module's: by its bare name, or behind the module's."""
+def _is_port_of(module: str, function: tree.Expr) -> bool:
+    """Return whether a call names a port of the module: as `port` or as `module.port`."""
     return not isinstance(function, tree.Attribute) or function.value == tree.Name(module, function.span)

@@ -1,11 +1,11 @@
-"""Types as they are written -> types of the IR, and how much a variable of one may hold."""
+"""Types of the syntax tree to types of the IR, and the capacities of variables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import assert_never
 
-from koordgen.lang.check.base import a
+from koordgen.lang.check.base import with_article
 from koordgen.lang.check.context import Context
 from koordgen.lang.ir.types import (
     GENERIC,
@@ -36,12 +36,14 @@ _MEANT = {
     "list": "List", "dict": "Map", "tuple": "(A, B)", "Tuple": "(A, B)",
 }  # fmt: skip
 _LOCAL = {"string": LOCAL_BYTES, "GridMap": LOCAL_CELLS, "Scan": LOCAL_RAYS}
-_DEEPEST = 20  # of types within types
+_DEEPEST = 20  # nesting of types
 
 
 def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
-    """The type that is meant; POISON where it is none, which has been reported then. Its capacities are those of shared
-    variables. Only a port may be a PathPlanner or a stream."""
+    """Return the type of the IR; POISON after reporting a type that does not exist.
+
+    Its capacities are the defaults of shared variables. Only a port may be a PathPlanner or a stream.
+    """
     if isinstance(node, tree.NamedType):
         return _named(node.name, node.span, c, port)
     return _composed(node, c, 0)
@@ -57,34 +59,34 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     known = NAMED.get(name)
     if known is not None:
         if (known is PLANNER or known is STREAM) and not port:
-            c.error("K017", f"a {name} is a port, not a value", span, "it stands under 'using'")
+            c.error("K017", f"a {name} is a port, not a value", span, "declare it under 'using'")
             return POISON
         return known
     if name in c.types:
         return c.types[name] or POISON
     if name in _DIALECT:
-        c.modern(name, _DIALECT[name], span)
+        c.report_old_spelling(name, _DIALECT[name], span)
         return NAMED[_DIALECT[name]]
     if name in c.broken:
         return POISON
     if name in ("Rect", "Ball"):
-        c.error("K017", f"a {name} is a region, not a value", span, "it stands on the right of 'in'")
+        c.error("K017", f"a {name} is a region, not a value", span, "write it on the right of 'in'")
     elif name in GENERIC:
-        c.error("K014", f"{name} needs the types of what it holds", span, f"write {name}<{_holes(name)}>")
+        c.error("K014", f"{name} needs the types of its contents", span, f"write {name}<{_example_types(name)}>")
     else:
-        help = c.nearest(name, [*NAMED, *GENERIC, *c.types], _MEANT)
+        help = c.suggestion(name, [*NAMED, *GENERIC, *c.types], _MEANT)
         define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
         c.error("K016", f"{name} is not a type", span, help or define)
     return POISON
 
 
-def _holes(name: str) -> str:
+def _example_types(name: str) -> str:
     return "int, Point" if name == "Map" else "int" if name == "Set" else "Point"
 
 
 def _composed(node: tree.GenericType | tree.TupleType | tree.BrokenType, c: Context, depth: int) -> Type:
     if depth > _DEEPEST:
-        c.error("K007", f"this type is nested more than {_DEEPEST} deep", node.span, "give parts of it as records")
+        c.error("K007", f"this type is nested more than {_DEEPEST} deep", node.span, "declare records for parts of it")
         return POISON
     match node:
         case tree.BrokenType():
@@ -105,7 +107,12 @@ def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context,
     wanted = GENERIC[name]
     if len(parts) != wanted and (name != "List" or not parts):
         plural = "" if wanted == 1 else "s"
-        c.error("K014", f"{name} takes {wanted} type{plural}, not {len(parts)}", span, f"write {name}<{_holes(name)}>")
+        c.error(
+            "K014",
+            f"{name} takes {wanted} type{plural}, not {len(parts)}",
+            span,
+            f"write {name}<{_example_types(name)}>",
+        )
         return POISON
     if POISON in parts:
         return POISON
@@ -120,41 +127,44 @@ def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context,
 
 
 def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, depth: int) -> Type:
-    """`T[]`: one note for all brackets and old words of it."""
+    """Resolve `T[]` of the 2020 dialect, with a single note for its brackets and old type names."""
     type_ = dialect_element(element, c, depth)
     if type_ == POISON:
         return POISON
     type_ = Sequence("List", type_, SHARED_ELEMENTS)
-    c.modern(c.text(node.span), str(type_), node.span)
+    c.report_old_spelling(c.text(node.span), str(type_), node.span)
     return type_
 
 
 def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
-    """The T of a `T[]`, without notes: they are part of the whole's."""
+    """Resolve the T of a `T[]`, without notes: the note about the whole type covers them."""
     before = len(c.found)
     type_ = _resolve(element, c, depth)
     c.found[before:] = [d for d in c.found[before:] if d.code != "K050"]
     return type_
 
 
-def per_robot(size: ast.Expr, c: Context) -> bool:
-    """Whether the size of an array is N_SYS, also as the 2020 dialect calls it, which is noted."""
+def is_fleet_size(size: ast.Expr, c: Context) -> bool:
+    """Return whether the size of an array is N_SYS. Reports the 2020 dialect's names of it."""
     name = size.name if isinstance(size, ast.Name) else ""
     if name in ("numAgents", "numBots"):
-        c.modern(name, "N_SYS", size.span)
+        c.report_old_spelling(name, "N_SYS", size.span)
     return name in ("N_SYS", "numAgents", "numBots")
 
 
-def bounded(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
-    """The type with the capacities that are declared for it, in pre-order; or else with those of local variables, or of
-    shared ones. Fields of records have their own."""
+def with_capacities(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
+    """Return the type with its declared capacities, which stand in pre-order.
+
+    Without declared capacities it has the default ones, of local or of shared variables. Fields of records have their
+    own.
+    """
     if not capacities:
         return _sized(type_, None) if local else type_
-    wanted = _bearing(type_)
+    wanted = _capacity_count(type_)
     if type_ != POISON and len(capacities) != wanted:
         span = capacities[min(wanted, len(capacities) - 1)].span
         if not wanted:
-            c.error("K053", f"{a(type_)} always takes the same room: 'max' has no place here", span)
+            c.error("K053", f"{with_article(type_)} has a fixed size: 'max' is not allowed here", span)
         else:
             many = "one capacity" if wanted == 1 else f"{wanted} capacities, outermost first"
             c.error("K053", f"{type_} takes {many}, not {len(capacities)}", span)
@@ -172,27 +182,30 @@ def _capacity(node: ast.Expr, c: Context) -> int | None:
         case ast.Broken():
             return None
         case _:
-            c.error("K053", f"{c.text(node.span)} is no capacity", node.span, "write a number, 1 at least")
+            c.error("K053", f"{c.text(node.span)} is not a capacity", node.span, "write a number of at least 1")
             return None
 
 
-def _bearing(type_: Type) -> int:
-    """How many capacities a type takes."""
+def _capacity_count(type_: Type) -> int:
+    """Return the number of capacities that a type takes."""
     match type_:
         case Sized():
             return 1
         case Sequence(_, element):
-            return 1 + _bearing(element)
+            return 1 + _capacity_count(element)
         case MapOf(key, value):
-            return 1 + _bearing(key) + _bearing(value)
+            return 1 + _capacity_count(key) + _capacity_count(value)
         case TupleOf(items):
-            return sum(map(_bearing, items))
+            return sum(map(_capacity_count, items))
         case _:
             return 0
 
 
 def _sized(type_: Type, given: Iterator[int] | None) -> Type:
-    """The type with the next of the given capacities, or with those of local variables."""
+    """Return the type with the next given capacities.
+
+    If `given` is None, the capacities are the defaults of local variables.
+    """
     match type_:
         case Sized(name):
             return Sized(name, _LOCAL[name] if given is None else next(given))

@@ -1,7 +1,7 @@
-"""Explanations: each diagnostic code at length, with tested examples.
+"""Explanations of all diagnostic codes, with tested examples.
 
-Owns: the pages beside this file, one for each letter of codes, and `topics.md`. The pages of codes that the analysis
-reports stand beside its rules.
+Owns: the pages beside this file, one for each initial letter of codes, and `topics.md`. Pages of codes that the
+    analysis reports stand beside its rules.
 Offers: `explanation`, `topic`, `show`.
 Must not import: syntax, or any room above it.
 """
@@ -18,9 +18,12 @@ _FENCE = "```"
 _RULES = Path(__file__).parents[1] / "analyze" / "rules"
 
 
-class Explanation(Node):
-    """The text of one code. `markdown` is its section without the heading; `wrong` and `right` are its examples,
-    `wrong_note` and `right_note` the lines that lead to them."""
+class CodeExplanation(Node):
+    """Explanation of one code.
+
+    `markdown` is its section without the heading. `wrong` and `right` are its examples, `wrong_note` and `right_note`
+    the lines before them.
+    """
 
     code: str
     title: str
@@ -31,24 +34,29 @@ class Explanation(Node):
     right: str
 
 
-def explanation(code: str) -> Explanation:
-    """The text of a code of the catalogue. Raises KeyError for any other."""
+def explanation(code: str) -> CodeExplanation:
+    """Return the explanation of a code. Raises KeyError for a code that is not in the catalogue."""
     title = CATALOGUE[code]
     section = _sections(code[0]).get(code, "")
     parts = section.split(f"\n{_FENCE}")
     if len(parts) != 5:
-        raise InternalError(f"the explanation of {code} is not of the form it must have")
+        raise InternalError(f"the explanation of {code} does not have its five parts")
     before, wrong, between, right, _ = parts
-    return Explanation(code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right))
+    return CodeExplanation(
+        code, title, section, before.split("\n")[-1], _listing(wrong), between.strip(), _listing(right)
+    )
 
 
-def show(found: Explanation) -> str:
-    """For a terminal: the title, and the section with its listings indented instead of fenced."""
+def show(found: CodeExplanation) -> str:
+    """Return an explanation for a terminal: title and section, with indented instead of fenced listings."""
     return f"{found.code}: {found.title}\n\n{_plain(found.markdown)}"
 
 
 def topic(word: str) -> str:
-    """Return the text of a verdict, of `skip`, or of the name of one reason to skip, for a terminal; else ''."""
+    """Return the text about a verdict, `skip` or one reason to skip, for a terminal.
+
+    Returns an empty string for other words.
+    """
     for heading, body in topics().items():
         if word.casefold() == heading.casefold() or f"\n- `{word.casefold()}`:" in body:
             return f"{heading}\n\n{_plain(body)}"
@@ -75,7 +83,7 @@ def _plain(markdown: str) -> str:
 
 
 def _listing(part: str) -> str:
-    """What follows the opening fence's language."""
+    """Return a listing without the line of its opening fence."""
     return part.partition("\n")[2] + "\n"
 
 

@@ -1,6 +1,6 @@
-"""Format: one style for programs, and edits that modernise them.
+"""Formatter: one style for programs, and upgrades of the 2020 dialect.
 
-Owns: spacing, order, rows, upgrades of the 2020 dialect.
+Owns: spacing, indentation, blank lines, comments, edits that modernise programs.
 Offers: `formatted` and `files.format_file`.
 Must not import: IR, or any room above `lang`.
 """
@@ -17,8 +17,10 @@ from koordgen.lang.syntax.parse import parse
 
 
 def formatted(source: Source, tree: object) -> str:
-    """The text of a program without syntax errors, in the one style; `tree` is what was read of it. Raises
-    InternalError rather than give a text that reads otherwise."""
+    """Return the formatted text of a program without syntax errors; `tree` is its syntax tree.
+
+    Raises InternalError if the result would have another syntax tree.
+    """
     text = arranged(source.text)
     again, found = parse(Source(source.path, text))
     if any(d.severity == "error" for d in found) or not same(tree, again):
@@ -27,7 +29,7 @@ def formatted(source: Source, tree: object) -> str:
 
 
 def same(one: Any, other: Any) -> bool:
-    """Whether two trees say the same, wherever it stands: unlike `==`, which compares the places of names."""
+    """Return whether two trees are equal, ignoring all spans. `==` would compare the spans of names."""
     pending = [(one, other)]
     while pending:
         a, b = pending.pop()

@@ -1,10 +1,10 @@
-"""Statements -> the formatted text: indentation, continuation lines, blank lines, comments."""
+"""Formatting of a text: spaces, indentation, continuation lines, blank lines, comments."""
 
 from __future__ import annotations
 
-from koordgen.lang.syntax.layout import GENERICS, GOES_ON, KEYWORDS, TOKEN, kind_of
+from koordgen.lang.syntax.layout import CONTINUING, GENERICS, KEYWORDS, TOKEN, kind_of
 
-# Where a space stands between two neighbouring tokens of one statement.
+# Spaces between neighbouring tokens of a statement
 
 _OPENING = frozenset("([{")
 _CLOSING = frozenset(")]}")
@@ -15,24 +15,27 @@ _OPERATORS = frozenset(
     )
 )  # fmt: skip
 _NO_VALUES = (KEYWORDS - {"True", "False"}) | _OPERATORS | _OPENING
-# The open bracket is the index of a value, or the type arguments of a generic type.
+# Kinds of open brackets: the index of a value, and the type arguments of a container type.
 INDEX, TYPES = "x[", "<"
 
 
 class Spacer:
-    """Takes the tokens of one statement in order. `brackets` are those that are open, outermost first."""
+    """Spacing of the tokens of one statement, which it gets in order.
+
+    `brackets` has the open ones, outermost first.
+    """
 
     def __init__(self) -> None:
         self.brackets: list[str] = []
         self._last = ""
-        self._after_value = False  # the last token ends a value (or a type or a name)
-        self._tight = True  # nothing may stand between the last token and the next one
+        self._after_value = False  # the last token ends a value, a type or a name
+        self._tight = True  # no space may follow the last token
 
-    def take(self, token: str) -> bool:
-        """Whether a space stands before this token."""
+    def space_before(self, token: str) -> bool:
+        """Add a token, and return whether a space stands before it."""
         closes_types = token == ">" and self._inside(TYPES)
         unary = token == "!" or (token == "-" and not self._after_value)
-        space = not self._tight and not self._clings(token, closes_types)
+        space = not self._tight and not self._is_attached(token, closes_types)
         tight = unary or token in _OPENING or token == "."
         if token in _CLOSING or closes_types:
             self._close(closes_types)
@@ -43,14 +46,14 @@ class Spacer:
             self.brackets.append(INDEX if token == "[" and self._after_value else token)
         elif (token == ":" and self._inside(INDEX)) or (token == "=" and self._inside("(")):
             tight = True
-        # Behind a declared name, `max` is a word of the language, and what follows it is no argument.
+        # After a declared name, `max` is a keyword and not a function, so a bracket after it is not a call.
         capacity = token == "max" and self._after_value
         self._after_value = closes_types or not (token in _NO_VALUES or capacity)
         self._last, self._tight = token, tight
         return space
 
-    def _clings(self, token: str, closes_types: bool) -> bool:
-        """Whether this token follows the last one without a space."""
+    def _is_attached(self, token: str, closes_types: bool) -> bool:
+        """Return whether a token follows the last one without a space."""
         if token in _CLOSING or token in (",", ".", ":", "'") or closes_types:
             return True
         if token in ("(", "["):
@@ -63,36 +66,36 @@ class Spacer:
         return bool(self.brackets) and self.brackets[-1] == bracket
 
     def _close(self, types: bool) -> None:
-        while not types and self._inside(TYPES):  # a generic word without its `>`
+        while not types and self._inside(TYPES):  # a container type without its `>`
             self.brackets.pop()
         if self.brackets:
             self.brackets.pop()
 
 
-# Text -> rows: its lines with their tokens and comments, and which of them go on with the line before.
+# Text to rows: lines with their tokens and comments, and whether they continue the line before
 
 
-class Row:
-    """One line of the text as it was written; columns count from 0."""
+class SourceRow:
+    """One line of the original text. Columns count from 0."""
 
     __slots__ = ("blank_before", "column", "comment", "continued", "indent", "inside", "tokens")
 
     def __init__(self) -> None:
         self.tokens: list[str] = []
-        self.indent = 0  # of its first token
+        self.indent = 0  # column of the first token
         self.comment = ""
-        self.column = 0  # of its comment
-        self.continued = False  # ends with a backslash
-        self.inside = False  # goes on with the statement of the row before
+        self.column = 0  # column of the comment
+        self.continued = False  # the line ends with a backslash
+        self.inside = False  # the line continues the statement of the row before
         self.blank_before = False
 
 
-def rows(text: str) -> list[Row]:
-    """The rows of a text without layout mistakes. Blank ones are left out, and backslashes that continue nothing."""
-    found: list[Row] = []
-    row = Row()
+def rows(text: str) -> list[SourceRow]:
+    """Return the rows of a text without layout errors, without blank rows and superfluous backslashes."""
+    found: list[SourceRow] = []
+    row = SourceRow()
     depth, indent, line_start = 0, 0, 0
-    fresh = True  # nothing of this statement has been seen
+    fresh = True  # no token of this statement has been seen
     for match in TOKEN.finditer(text):
         token = match[0]
         kind = kind_of(token)
@@ -109,7 +112,7 @@ def rows(text: str) -> list[Row]:
             if not goes_on:
                 fresh, indent = True, 0
             blank = not row.tokens and not row.comment and (not row.continued or row.blank_before)
-            row = Row()
+            row = SourceRow()
             row.blank_before = blank
             row.inside = goes_on and not fresh
         else:
@@ -122,20 +125,20 @@ def rows(text: str) -> list[Row]:
     return found
 
 
-def _end(row: Row, found: list[Row]) -> None:
+def _end(row: SourceRow, found: list[SourceRow]) -> None:
     if row.tokens or (row.comment and not (row.inside and found[-1].continued)):
         found.append(row)
-    elif row.comment:  # behind a backslash that continues nothing
+    elif row.comment:  # after a superfluous backslash
         found[-1].comment, found[-1].column = row.comment, row.column
         found[-1].continued = False
     elif not row.continued and found:
         found[-1].continued = False
 
 
-def _join(found: list[Row]) -> None:
-    """A row that begins with `and` or `or` goes on with the statement before, and so do comments between them."""
+def _join(found: list[SourceRow]) -> None:
+    """Mark rows that begin with `and` or `or`, and comments before them, as parts of the statement before."""
     for i, row in enumerate(found):
-        if row.tokens and row.tokens[0] in GOES_ON:
+        if row.tokens and row.tokens[0] in CONTINUING:
             row.inside = True
             for before in reversed(found[:i]):
                 if before.tokens:
@@ -143,16 +146,20 @@ def _join(found: list[Row]) -> None:
                 before.inside = True
 
 
-# Rows -> statements: the rows that belong together, and the level of the block that each stands in.
+# Rows to statements: rows that belong together, and the level of their block
 
 
 class Statement:
-    """The rows of one statement, or header, or of one comment that stands alone. `level` counts blocks from 0.
-    Comments below the one behind its last row, in the same column, are rows of it."""
+    """Rows of one statement or header, or one comment on a line of its own.
+
+    `level` is the number of enclosing blocks.
+
+    A comment after the last row may continue on the following lines, in the same column; these are rows, too.
+    """
 
     __slots__ = ("level", "rows")
 
-    def __init__(self, row: Row, level: int) -> None:
+    def __init__(self, row: SourceRow, level: int) -> None:
         self.rows = [row]
         self.level = level
 
@@ -162,13 +169,13 @@ class Statement:
 
     @property
     def kind(self) -> str:
-        """Of the section that it begins, when its level is 0."""
+        """Kind of the section that the statement begins, if its level is 0."""
         first = self.rows[0].tokens[0]
         return first if first in KEYWORDS else "event"
 
 
-def statements(rows: list[Row]) -> list[Statement]:
-    """All rows, grouped and levelled."""
+def statements(rows: list[SourceRow]) -> list[Statement]:
+    """Return all rows, grouped into statements with their levels."""
     result: list[Statement] = []
     indents = [0]
     for row, following in zip(rows, _following(rows), strict=True):
@@ -182,14 +189,14 @@ def statements(rows: list[Row]) -> list[Statement]:
             result.append(Statement(row, len(indents) - 1))
         else:
             level = _comment_level(row, following, indents)
-            if result and result[-1].is_comment:  # what follows a comment of an outer block is no longer in the inner
+            if result and result[-1].is_comment:  # after a comment of an outer block the inner block has ended
                 level = min(level, result[-1].level)
             result.append(Statement(row, level))
     return result
 
 
-def _following(rows: list[Row]) -> list[int]:
-    """For each row the indentation of the first statement behind it; 0 at the end."""
+def _following(rows: list[SourceRow]) -> list[int]:
+    """Return for each row the indentation of the next statement; 0 at the end."""
     result = [0] * len(rows)
     for i in range(len(rows) - 2, -1, -1):
         after = rows[i + 1]
@@ -197,30 +204,33 @@ def _following(rows: list[Row]) -> list[int]:
     return result
 
 
-def _goes_on(row: Row, above: Statement, following: int) -> bool:
-    """Whether a comment line goes on with the comment behind the code above it."""
+def _goes_on(row: SourceRow, above: Statement, following: int) -> bool:
+    """Return whether a comment line continues the comment beside the code above it."""
     last = above.rows[-1]
     beside = not above.is_comment and last.comment and last.column == row.column
     return bool(beside and not row.tokens and not row.blank_before and row.column != following)
 
 
-def _comment_level(row: Row, following: int, indents: list[int]) -> int:
-    """A comment stands like the next statement; before one that ends blocks, it may still belong to one of these."""
+def _comment_level(row: SourceRow, following: int, indents: list[int]) -> int:
+    """Return the level of a comment: that of the next statement, or of a block that ends before it."""
     least = sum(1 for indent in indents if indent < following)
     return max([least, *(k for k, indent in enumerate(indents) if following <= indent <= row.column)])
 
 
-LEVEL = 2  # spaces a block
-FURTHER = 4  # spaces that a continuation line stands deeper
-APART = 2  # spaces between code and a comment behind it
+LEVEL = 2  # spaces of indentation for each block
+FURTHER = 4  # additional spaces of a continuation line
+APART = 2  # spaces between code and the comment after it
 
 
 class _Line:
-    """One line of the result. `column` is where its comment stood, -1 when it is not `beside` code."""
+    """One line of the result.
+
+    `column` is the original column of its comment, -1 if that is not `beside` code.
+    """
 
     __slots__ = ("blank", "code", "column", "comment")
 
-    def __init__(self, code: str, row: Row, beside: bool) -> None:
+    def __init__(self, code: str, row: SourceRow, beside: bool) -> None:
         self.code = code
         self.comment = row.comment
         self.column = row.column if beside else -1
@@ -228,7 +238,7 @@ class _Line:
 
 
 def arranged(text: str) -> str:
-    """The text in the one style. It must be free of mistakes of layout and syntax; `\\n` ends its lines."""
+    """Return the formatted text. The text must have no layout or syntax errors, and `\\n` at line ends."""
     found = statements(rows(text))
     lines: list[_Line] = []
     for statement, blank in zip(found, _blanks(found), strict=True):
@@ -240,8 +250,11 @@ def arranged(text: str) -> str:
 
 
 def _blanks(found: list[Statement]) -> list[bool]:
-    """Whether a blank line stands before each statement. One does between sections, but sections of one line and one
-    kind stand as close as they were written. Within a section one is kept, but not below a header."""
+    """Return for each statement whether a blank line stands before it.
+
+    Sections are separated by one, except that between sections of one line and the same kind blank lines are kept as
+    written. Within a section they are kept, except after a header.
+    """
     result = [False] * len(found)
     section = 0  # where the last section began
     for i in range(1, len(found)):
@@ -261,12 +274,15 @@ def _blanks(found: list[Statement]) -> list[bool]:
 
 
 def _lines(statement: Statement) -> list[_Line]:
-    """The lines of one statement. One that goes on with another stands deeper than the line whose bracket it is in;
-    one that begins with closing brackets stands like the line that opened them."""
+    """Return the lines of one statement.
+
+    A continuation line is indented further than the line that opened its bracket. A line that begins with closing
+    brackets is indented like the line that opened them.
+    """
     result: list[_Line] = []
     spacer = Spacer()
     margin = statement.level * LEVEL
-    opened: list[int] = []  # the margin of the line of each open bracket
+    opened: list[int] = []  # indentation of the line of each open bracket
     for row in statement.rows:
         indent = margin
         if row.inside:
@@ -274,7 +290,7 @@ def _lines(statement: Statement) -> list[_Line]:
             indent = opened[-closing] if closing else (opened[-1] if opened else margin) + FURTHER
         words: list[str] = []
         for token in row.tokens:
-            if spacer.take(token) and words:
+            if spacer.space_before(token) and words:
                 words.append(" ")
             words.append(token)
             del opened[len(spacer.brackets) :]
@@ -286,8 +302,10 @@ def _lines(statement: Statement) -> list[_Line]:
 
 
 def _starts(lines: list[_Line]) -> list[str]:
-    """What stands before the comment of each line. Comments beside code on consecutive lines that stood in one column
-    do so again."""
+    """Return the text before the comment of each line.
+
+    Comments beside code on consecutive lines that were in one column are aligned again.
+    """
     result: list[str] = []
     while len(result) < len(lines):
         first = end = len(result)

@@ -1,4 +1,4 @@
-"""Formats files: each on its own, all of it or nothing."""
+"""Formatting of files. Each file is formatted completely or left unchanged."""
 
 from __future__ import annotations
 
@@ -22,9 +22,12 @@ if TYPE_CHECKING:
 STDIN = "-"
 
 
-class Result(Node):
-    """What became of one file. `before` is its text, byte order mark and line ends included, `after` the same as it
-    should be; both are empty when there are `mistakes`. `refused` says why it could not be written."""
+class FormatResult(Node):
+    """Result of formatting one file.
+
+    `before` is its text with byte order mark and line ends, `after` the formatted text; both are empty if there are
+    `mistakes`. `refused` says why the file could not be written.
+    """
 
     source: Source
     mistakes: tuple[Diagnostic, ...]
@@ -37,24 +40,26 @@ class Result(Node):
         return self.before != self.after
 
 
-def format_file(path: str, checker: Checker | None, write: bool) -> Result:
-    """Format one file, `-` for standard input; upgraded when there is a checker; written only when asked, when it
-    changes, and when it is a file."""
+def format_file(path: str, checker: Checker | None, write: bool) -> FormatResult:
+    """Format one file, or standard input for `-`.
+
+    With a checker the program is also upgraded. `write`: replace the file if the text changes.
+    """
     start = Span(1, 1, 1, 1)
     try:
         raw = sys.stdin.buffer.read() if path == STDIN else Path(path).read_bytes()
         source = Source(path, raw.decode("utf-8-sig"))
     except OSError as error:
         problem = Diagnostic("F100", "error", f"cannot be read: {error.strerror or error}", start)
-        return Result(Source(path, ""), (problem,))
+        return FormatResult(Source(path, ""), (problem,))
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         problem = Diagnostic("F101", "error", f"byte {error.start} is not UTF-8", Span(line, 1, line, 2))
-        return Result(Source(path, ""), (problem,))
+        return FormatResult(Source(path, ""), (problem,))
     tree, found = parse(source)
     mistakes = tuple(d for d in found if d.severity == "error")
     if mistakes:
-        return Result(source, mistakes)
+        return FormatResult(source, mistakes)
     modern = source
     if checker is not None:
         from koordgen.lang.format.upgrade import upgraded
@@ -62,7 +67,7 @@ def format_file(path: str, checker: Checker | None, write: bool) -> Result:
         modern = upgraded(source, checker)
         tree, _ = parse(modern)
     after = formatted(modern, tree)
-    result = Result(source, (), raw.decode(), after)
+    result = FormatResult(source, (), raw.decode(), after)
     if result.changed and write and path != STDIN:
         try:
             _replace(path, after.encode())
@@ -71,20 +76,23 @@ def format_file(path: str, checker: Checker | None, write: bool) -> Result:
     return result
 
 
-def output(results: Iterable[Result], format: str, check: bool, diff: bool) -> bytes:
-    """What goes to standard output: the text of standard input, or which files (would) change, or how; as JSON
-    `{"files": [{file, changed}], "diagnostics": [...]}`, where standard input has its `text` as well."""
+def output(results: Iterable[FormatResult], format: str, check: bool, diff: bool) -> bytes:
+    """Return the bytes for standard output.
+
+    These are the formatted text of standard input, the files that are or would be changed, or a diff. As JSON:
+    `{"files": [{file, changed}], "diagnostics": [...]}`, where standard input also has its `text`.
+    """
     dry = check or diff
     if format == "json":
         text = _json(results, not dry)
     elif diff:
         text = "".join(_difference(r) for r in results)
     else:
-        text = "".join(_told(r, dry) for r in results)
-    return text.encode(errors="surrogateescape")  # a file's name need not be UTF-8
+        text = "".join(_changed_line(r, dry) for r in results)
+    return text.encode(errors="surrogateescape")  # file names need not be UTF-8
 
 
-def _told(result: Result, dry: bool) -> str:
+def _changed_line(result: FormatResult, dry: bool) -> str:
     if result.source.path == STDIN and not dry:
         return "" if result.mistakes else result.after
     if not result.changed or result.refused:
@@ -92,7 +100,7 @@ def _told(result: Result, dry: bool) -> str:
     return f"{result.source.path}: {'would be formatted' if dry else 'formatted'}\n"
 
 
-def _json(results: Iterable[Result], texts: bool) -> str:
+def _json(results: Iterable[FormatResult], texts: bool) -> str:
     import json
 
     files: list[dict[str, object]] = []
@@ -105,7 +113,7 @@ def _json(results: Iterable[Result], texts: bool) -> str:
     return json.dumps({"files": files, "diagnostics": diagnostics}, indent=2) + "\n"
 
 
-def _difference(result: Result) -> str:
+def _difference(result: FormatResult) -> str:
     from difflib import unified_diff
 
     path = result.source.path
@@ -118,13 +126,16 @@ def _lines(text: str) -> list[str]:
 
 
 def _replace(path: str, data: bytes) -> None:
-    """Put `data` in the place of a file's content by a rename; behind a symbolic link, of its target's. OSError leaves
-    all as it was."""
+    """Replace a file's content by a rename. For a symbolic link, its target is replaced.
+
+    If it raises OSError, the file is unchanged.
+    """
     target = os.path.realpath(path)
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
         raise OSError("is not a regular file")
-    if not status.st_mode & 0o222 or not os.access(target, os.W_OK):  # a rename would not ask, nor would root be asked
+    # Checked here, because a rename ignores a file's mode, and root passes `access`.
+    if not status.st_mode & 0o222 or not os.access(target, os.W_OK):
         raise OSError("is read-only")
     folder, name = os.path.split(target)
     beside = os.path.join(folder, f".{name}.{os.getpid()}")
@@ -133,7 +144,7 @@ def _replace(path: str, data: bytes) -> None:
         with os.fdopen(descriptor, "wb") as file:
             file.write(data)
             file.flush()
-            with suppress(PermissionError):  # another's file, in a folder where we may write
+            with suppress(PermissionError):  # another user's file in a folder that this user may write
                 os.fchown(descriptor, status.st_uid, status.st_gid)
             os.fchmod(descriptor, stat.S_IMODE(status.st_mode))
         os.replace(beside, target)

@@ -1,4 +1,4 @@
-"""The 2020 dialect -> the present one: makes the edits that the checker proposes."""
+"""Upgrade of programs from the 2020 dialect: applies the edits that the checker proposes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from koordgen.lang.source import Source
 from koordgen.lang.syntax.decl import Program
 from koordgen.lang.syntax.parse import parse
 
-# Edits of a text, as diagnostics propose them.
+# Edits that diagnostics propose
 
 
-def applied(text: str, edits: Iterable[Edit]) -> str:
-    """The text with all edits made. They must not overlap: ValueError. What is inserted at one place stands in the
-    order of the edits."""
+def apply_edits(text: str, edits: Iterable[Edit]) -> str:
+    """Return the text with all edits applied. Raises ValueError if they overlap.
+
+    Insertions at the same position are in the order of the edits.
+    """
     starts = [0]
     starts.extend(i + 1 for i, c in enumerate(text) if c == "\n")
     parts: list[str] = []
@@ -29,9 +31,11 @@ def applied(text: str, edits: Iterable[Edit]) -> str:
     return "".join([*parts, text[done:]])
 
 
-def compatible(notes: Sequence[Diagnostic]) -> list[Edit]:
-    """The edits of diagnostics that do not meet: one's edits are taken together, or left when an earlier one is in
-    their way."""
+def non_overlapping(notes: Sequence[Diagnostic]) -> list[Edit]:
+    """Return edits that do not overlap.
+
+    The edits of one diagnostic are taken together, or left out if they overlap with those of an earlier one.
+    """
     taken: list[Edit] = []
     for note in notes:
         if not any(_overlap(a, b) for a in note.edits for b in taken):
@@ -49,32 +53,34 @@ def _place(edit: Edit) -> tuple[tuple[int, int], tuple[int, int]]:
     return (span.line, span.column), (span.end_line, span.end_column)
 
 
-# Gives what a program means (None when it is wrong), comparable by `==`, and all that there is to say of it.
+# Checks a program: returns its meaning, comparable by `==` (None if there are errors), and its diagnostics.
 Checker = Callable[[Program, Source], tuple[object, list[Diagnostic]]]
 
 DIALECT = "K050"
-_ROUNDS = 10  # edits that are in the way of others are made one round later
+_ROUNDS = 10  # edits that overlap with others are applied in a later round
 
 
 def upgraded(source: Source, check: Checker) -> Source:
-    """A program without syntax errors in the present dialect, as far as the checker knows how. Raises InternalError
-    rather than give one that means something else."""
+    """Upgrade a program without syntax errors to the present dialect, by edits that the checker proposes.
+
+    Raises InternalError if the result would have another meaning.
+    """
     meaning, notes = _checked(source, check)
     result = source
     for _ in range(_ROUNDS):
         if not notes:
             return result
-        result = Source(source.path, applied(result.text, compatible(notes)))
+        result = Source(source.path, apply_edits(result.text, non_overlapping(notes)))
         after, notes = _checked(result, check)
         if meaning is not None and after != meaning:
             raise InternalError(f"upgrading {source.path} would change its meaning; nothing was written")
-    raise InternalError(f"upgrading {source.path} comes to no end; nothing was written")
+    raise InternalError(f"upgrading {source.path} does not terminate; nothing was written")
 
 
 def _checked(source: Source, check: Checker) -> tuple[object, list[Diagnostic]]:
-    """What a program means, and the notes of its dialect that have edits."""
+    """Return a program's meaning, and the diagnostics about its dialect that have edits."""
     tree, mistakes = parse(source)
     if any(d.severity == "error" for d in mistakes):
-        raise InternalError(f"{source.path} cannot be read any more: {mistakes[0].message}; nothing was written")
+        raise InternalError(f"{source.path} can no longer be parsed: {mistakes[0].message}; nothing was written")
     meaning, found = check(tree, source)
     return meaning, [d for d in found if d.code == DIALECT and d.edits]

@@ -1,7 +1,7 @@
-"""IR: programs with types, as checks leave them and all back ends read them.
+"""IR: typed intermediate representation of programs, made by the checks and read by all back ends.
 
-Owns: nodes, the ways through their trees, the table of built-in functions, the printer, the verifier, the canonical
-encoding that is hashed.
+Owns: nodes, walks over their trees, the table of builtin functions, the printer, the verifier, the canonical encoding
+    whose digest is a program's hash.
 Offers: `decl.Program`, `tree`, `verify`, `encoding`.
 Must not import: syntax, checks, semantics.
 """

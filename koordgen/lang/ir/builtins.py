@@ -1,7 +1,7 @@
-"""The builtin functions and methods: one table for the checker, the verifier, the semantics and the emitter.
+"""Table of builtin functions and methods, for checker, verifier, semantics and emitter.
 
-A signature is written with type variables: "T", "V" any type, "K" a key type, "N" int or float, "O" int, float or
-string. `Builtin.args` of a method has its object first.
+Type variables of signatures: "T", "V" any type, "K" a key type, "N" int or float, "O" int, float or string. The first
+item of `Builtin.args` of a method is its object.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ VARIABLES = (T, K, V, N, ORDERED)
 
 
 class Signature(Node):
-    """What a builtin takes and yields."""
+    """Types of a builtin's arguments and of its result."""
 
     args: tuple[Type, ...]
     result: Type
@@ -54,7 +54,7 @@ def _s(*types: Type) -> Signature:
 _MAP = MapOf(K, V, SHARED_ELEMENTS)
 _PATH = list_of(POINT)
 
-# Functions that a program calls by name; several signatures are tried in order.
+# Functions that a program calls by name. Several signatures are tried in order.
 FUNCTIONS: dict[str, tuple[Signature, ...]] = {
     "Point": (_s(FLOAT, FLOAT, FLOAT, POINT),),
     "Pose": (_s(POINT, FLOAT, POSE),),
@@ -85,7 +85,7 @@ FUNCTIONS: dict[str, tuple[Signature, ...]] = {
     **{name: (_s(GRIDMAP, GRID, GRIDMAP),) for name in ("mark_free", "mark_occupied")},
 }
 
-# Methods that yield a value, by (word of the type, name).
+# Methods that return a value: (name of the type, name of the method) -> signature.
 METHODS: dict[tuple[str, str], Signature] = {
     ("List", "index"): _s(list_of(T), T, INT),
     ("List", "count"): _s(list_of(T), T, INT),
@@ -98,7 +98,7 @@ METHODS: dict[tuple[str, str], Signature] = {
     ("Set", "difference"): _s(_set(K), _set(K), _set(K)),
 }
 
-# Methods that change their object: (word of the type, name) -> the update that yields the changed value.
+# Methods that change their object: (name of the type, name of the method) -> the update that returns the changed value.
 UPDATES: dict[tuple[str, str], str] = {
     ("List", "append"): "appended",
     ("List", "extend"): "extended",
@@ -113,11 +113,11 @@ UPDATES: dict[tuple[str, str], str] = {
     ("Map", "remove"): "map_without",
     ("Map", "clear"): "cleared",
 }
-# `xs.pop()`, `xs.pop(i)`, `q.pop()`: how the value is read, and what is left (see the checker).
+# `xs.pop()`, `xs.pop(i)`, `q.pop()`: the expression of the removed value, and that of the remaining object.
 #   List pop():  At(xs, len(xs) - 1), popped(xs)     List pop(i): At(xs, i), without(xs, i)
 #   Queue pop(): first(q), without(q, 0)
 
-# The updates as builtins of the IR, which programs do not call by these names. S stands for the object's type.
+# The updates as builtins of the IR; programs cannot call them by these names. S is the object's type.
 S = Scalar("S")
 UPDATE_SIGNATURES: dict[str, tuple[Signature, ...]] = {
     "updated": (_s(list_of(T), INT, T, S),),

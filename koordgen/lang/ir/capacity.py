@@ -1,4 +1,4 @@
-"""Constants against the capacities of the variables that are to keep them."""
+"""Check of constants against the capacities of their variables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from koordgen.lang.ir.types import MapOf, RecordType, Sequence, Sized, TupleOf, 
 
 
 def excess(value: ir.Expr, type_: Type) -> str:
-    """Return what of a constant does not fit in its variable, in words; empty if all of it fits, or is not constant."""
+    """Return why a constant does not fit its variable's capacity; empty if it fits or is not a constant."""
     match value, type_:
         case ir.Const(str(text)), Sized(_, capacity) if len(text.encode()) > capacity:
             return f"{len(text.encode())} bytes, and at most {capacity} fit"

@@ -1,4 +1,4 @@
-"""Declarations and the whole program, as every back end reads it."""
+"""IR of declarations and of a whole program."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from koordgen.lang.source import Span
 
 
 class Param(Node):
-    """`param float margin = 0.5`: a constant of the build; `default` reads nothing but other literals."""
+    """Param `param float margin = 0.5`: a constant of the build. `default` has literals only."""
 
     name: str
     type: Type
@@ -23,7 +23,7 @@ class Param(Node):
 
 
 class Record(Node):
-    """`def Task:`; `defaults` are the fields' constant first values, in order."""
+    """Record `def Task:`. `defaults` has the constant initial values of its fields, in order."""
 
     type: RecordType
     defaults: tuple[Expr, ...]
@@ -31,15 +31,17 @@ class Record(Node):
 
 
 class Parameter(Node):
-    """A function's parameter, by the unique name that its body reads (TempRead)."""
+    """Parameter of a function. `name` is the unique name that a TempRead in its body has."""
 
     name: str
     type: Type
 
 
 class Function(Node):
-    """`fun`: pure; its body reads its parameters, constants of the build and what it calls. Functions stand behind
-    those that they call."""
+    """Function `fun`. It is pure: its body reads its parameters and params, and calls functions.
+
+    In `Program.functions` it stands after the functions that it calls.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -49,8 +51,10 @@ class Function(Node):
 
 
 class ExternFunction(Node):
-    """`extern fun`, implemented in Python: gets copies, must be pure. Contracts read the parameters; `ensures` also
-    `result`."""
+    """Extern function `extern fun`, implemented in Python. It gets copies of values and must be pure.
+
+    Its contracts read the parameters; `ensures` also reads `result`.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -61,14 +65,14 @@ class ExternFunction(Node):
 
 
 class ExternType(Node):
-    """`extern type Ticket`: a class of that name in the Python file."""
+    """Extern type `extern type Ticket`: a class of this name in the functions file."""
 
     name: str
     span: Span
 
 
 class SpecFunction(Node):
-    """`spec fun`: a name that only properties use; axioms say what is known of it."""
+    """Function `spec fun` without an implementation. Only properties use it; axioms describe it."""
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -79,11 +83,11 @@ class SpecFunction(Node):
 class Meaning(Node):
     """Meaning of a port beside its value. The names are those of sensors of the same module.
 
-    `is_position`: the sensor, a Point, is where the robot itself is.
-    `held`: the sensor whose value the actuator has before it is written, since an unset actuator holds; "" for the
-    type's default. A program need not declare that sensor: then the value may be any.
-    `clears`: bool sensors that are true until the first command, and false from a command of this actuator on, until
-    the robot says otherwise. Those that the program does not declare play no part in it.
+    `is_position`: the sensor, a Point, is the robot's own position.
+    `held`: the sensor whose value the actuator has before its first command, because an actuator without a command
+    holds; "" for the type's default. If the program does not declare this sensor, the value may be any.
+    `clears`: bool sensors that are true until the first command, and false after a command of this actuator until the
+    robot sets them again. Sensors that the program does not declare are ignored.
     """
 
     is_position: bool
@@ -94,7 +98,7 @@ class Meaning(Node):
 class Port(Node):
     """One port of a module. A callable port has the type PathPlanner, a stream the type stream.
 
-    `meaning` is what all back ends go by; see `ports`, which reads it.
+    All back ends use `meaning`; the module `ports` has functions that read it.
     """
 
     name: str
@@ -105,21 +109,26 @@ class Port(Node):
 
 
 class Assumption(Node):
-    """`assume formula` of a module: holds of every robot separately, over that module's ports (primed: at any moment of
-    the following delta), params and pid. Temps that it does not bind are handed to callable ports, and stand for all
-    values there: see `goals`."""
+    """Assumption `assume formula` of a module. It holds for each robot separately.
+
+    It reads the module's ports (primed: their values at any time during the following delta), params and pid. Temps
+    that it does not bind are arguments of callable ports, and stand for all values: see `goals`.
+    """
 
     formula: Expr
     span: Span
 
 
 def goals(assumption: Assumption) -> dict[str, Type]:
-    """The temps that stand for all values in an assumption, with their types."""
+    """Return the temps that stand for all values in an assumption, with their types."""
     return {arg.name: arg.type for _, args in handed(assumption.formula) for arg in args.values()}
 
 
 def handed(node: Node, bound: frozenset[str] = frozenset()) -> Iterator[tuple[PortCall, dict[int, TempRead]]]:
-    """The calls of ports in a formula to which temps are handed that it does not bind; and these, by their places."""
+    """Yield each call of a port whose arguments include temps that the formula does not bind.
+
+    The second item has these temps by the index of the argument.
+    """
     if isinstance(node, Quantified):
         yield from handed(node.domain, bound)
         yield from handed(node.body, bound | {node.name})
@@ -134,7 +143,10 @@ def handed(node: Node, bound: frozenset[str] = frozenset()) -> Iterator[tuple[Po
 
 
 def free(node: Node, bound: frozenset[str] = frozenset()) -> dict[str, Type]:
-    """The temps that a formula does not bind, with their types: in an axiom they stand for all values."""
+    """Return the temps that a formula does not bind, with their types.
+
+    In an axiom they stand for all values.
+    """
     match node:
         case TempRead(name, type_):
             return {} if name in bound else {name: type_}
@@ -145,7 +157,7 @@ def free(node: Node, bound: frozenset[str] = frozenset()) -> dict[str, Type]:
 
 
 class Module(Node):
-    """`using Motion:`: the ports that the program uses of one of the robot's modules."""
+    """Module `using Motion:`: the ports of one of the robot's modules that the program uses."""
 
     name: str
     ports: tuple[Port, ...]
@@ -154,8 +166,11 @@ class Module(Node):
 
 
 class Shared(Node):
-    """A shared variable. `allread`: one slot of `type` a robot, written by its owner only;
-    `allwrite`: one value that every robot may write. `initial` is constant, params included."""
+    """Shared variable.
+
+    `allread`: each robot has a slot of type `type`, which only it may write. `allwrite`: one value that every robot may
+    write. `initial` is constant; it may read params.
+    """
 
     name: str
     kind: Literal["allread", "allwrite"]
@@ -165,7 +180,7 @@ class Shared(Node):
 
 
 class Local(Node):
-    """A variable of the robot's own."""
+    """Local variable: each robot has its own."""
 
     name: str
     type: Type
@@ -174,9 +189,11 @@ class Local(Node):
 
 
 class Event(Node):
-    """`guard` has no effects; `effect` takes place as a whole or not at all. `lock`: of an event that contains `atomic`
-    the index of its group of shared variables in `Program.locks`; None of a plain event. `priority`: the index of the
-    `priority:` block in which the event stands; None outside of such blocks."""
+    """Event. Its `effect` takes place as a whole or not at all.
+
+    `lock`: for an event with `atomic`, the index of its group of shared variables in `Program.locks`; None for a plain
+    event. `priority`: the index of the event's `priority:` block; None outside of such blocks.
+    """
 
     name: str
     guard: Expr
@@ -187,7 +204,7 @@ class Event(Node):
 
 
 class Property(Node):
-    """`initially`, `invariant NAME`, `axiom NAME`: over the global store, every robot's locals and ports."""
+    """Property `initially`, `invariant NAME` or `axiom NAME`, over the state of all robots."""
 
     kind: Literal["initially", "invariant", "axiom"]
     name: str
@@ -196,8 +213,11 @@ class Property(Node):
 
 
 class Program(Node):
-    """A checked program. `path` is the source's file name without its folders (bundles quote it). `locks`: groups of
-    shared variables that occur together in atomic events; no two groups share one."""
+    """A checked program.
+
+    `path` is the source's file name without folders, because bundles quote it. `locks` has disjoint groups of shared
+    variables that occur together in atomic events.
+    """
 
     name: str
     path: str
@@ -216,9 +236,10 @@ class Program(Node):
     properties: tuple[Property, ...]
 
     def earlier(self, event: Event) -> tuple[Event, ...]:
-        """The events that stand before `event` in its `priority:` block; none where it stands in no block.
+        """Return the events before `event` in its `priority:` block; none if it stands in no block.
 
-        `event` may run only in a round at whose start each of their guards has a value and is false."""
+        `event` may only run in a round at whose start all of their guards have a value and are false.
+        """
         if event.priority is None:
             return ()
         block = [other for other in self.events if other.priority == event.priority]

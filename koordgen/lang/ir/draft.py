@@ -1,8 +1,8 @@
-"""Nodes that stand in a program only between its two checks, and how expressions with errors look there.
+"""Draft nodes, which a program has only between its two checks, and the form of wrong expressions.
 
-`check` resolves names and types, and yields the IR with these nodes among its statements. `analyze` judges what stands
-there, and yields the IR alone. An expression in which an error was reported has the type POISON: a Const, or a Make
-whose items are the parts that are right and are still to be judged.
+`check` resolves names and types, and returns IR with draft nodes among its statements. `analyze` checks the program
+and returns IR without drafts. An expression with a reported error has the type POISON: it is a Const, or a Make whose
+items are its correct parts, which `analyze` still checks.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from koordgen.lang.ir.stmt import Stmt
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 
-# Where an expression stands decides what it may read: `constant` (literals, params), `init`, `guard`, `effect`,
+# The section of an expression decides what it may read: `constant` (literals, params), `init`, `guard`, `effect`,
 # `function` (parameters, params), `contract` (parameters, params, `result`), `property` (everything, by robot),
 # `assume` (one module's ports, primed or not, params, pid).
 Section = Literal["constant", "init", "guard", "effect", "function", "contract", "property", "assume"]
 
 
 class SlotPlace(Node):
-    """`x[index] = ...` of an allread variable. The analysis makes it an OwnSlot, or reports that it may be another
-    robot's slot."""
+    """Target `x[index] = ...`, a slot of an allread variable.
+
+    The analysis turns it into an OwnSlot, or reports that it may be another robot's slot.
+    """
 
     name: str
     index: Expr
@@ -30,22 +32,25 @@ class SlotPlace(Node):
 
 
 class Atomic(Node):
-    """`atomic:`; the statements of its block follow. The event that contains it is a transaction."""
+    """Marker of `atomic:`, before the statements of its block.
+
+    The event that contains it is a transaction.
+    """
 
     span: Span
 
 
-class Unread(Node):
-    """A statement that could not be read: what it does is not known."""
+class UnparsedStmt(Node):
+    """A statement that could not be parsed: its effect is unknown."""
 
     span: Span
 
 
-class Wrong(Node):
-    """A statement that has no meaning, which has been reported. Its `parts` are expressions that are right."""
+class WrongStmt(Node):
+    """A wrong statement, whose error is already reported. `parts` has its correct expressions."""
 
     parts: tuple[Expr, ...]
     span: Span
 
 
-Draft = Stmt | Atomic | Unread | Wrong
+Draft = Stmt | Atomic | UnparsedStmt | WrongStmt

@@ -1,14 +1,15 @@
-"""Canonical encoding of the IR: a byte form that depends on a program's meaning only. Its digest is the program's hash.
+"""Canonical encoding of the IR: bytes that depend only on a program's meaning.
 
-The form does not depend on names of our classes, fields and modules: LAYOUTS gives every node kind a tag byte and the
+Its digest is the program's hash. It does not depend on names of classes, fields and modules: LAYOUTS gives every node
+kind a tag byte and the
 order of its fields. A renamed class, a reordered field or a new mark therefore changes no program's hash. A change of
 this form, such as a new field with a meaning, raises VERSION and gives all programs a new hash.
 
 An encoding is HEADER, the version, and then the items given. An item begins with a byte that names its kind:
 
-    00        None: nothing there, or a capacity that does not count
+    00        None: an absent item, or a capacity that does not count
     01, 02    False, True
-    03        int: length, two's complement, big-endian, as few bytes as hold it
+    03        int: length, two's complement, big-endian, in as few bytes as possible
     04        float: 8 bytes, IEEE 754 binary64, big-endian (0.0 and -0.0 differ)
     05        string: length, UTF-8 (a lone surrogate as its three bytes)
     06        tuple: count, the items
@@ -18,14 +19,14 @@ An encoding is HEADER, the version, and then the items given. An item begins wit
 
 Lengths, counts, numbers and codes are 4 bytes, big-endian.
 
-What takes no part:
+Not encoded:
 
-- `span`, and `Program.path`: where the text stands.
+- `span` and `Program.path`: positions in the source.
 - `proved` (SlotRead, Binary, At, Slice): a mark of the analysis. A failed check discards the event; a check that
   cannot fail may be left out.
 - `type` of expressions, except of Make and TempRead: the verifier (verify.py) derives it from the operands and the
   declarations, and refuses a node that claims another.
-- Capacities outside of declarations: like spans they take no part in the equality of types. They count in params,
+- Capacities outside of declarations: like spans they do not count in the equality of types. They count in params,
   records, ports, shared and local variables, parameters and results.
 - Names of temporaries: variables of blocks, loops and quantifiers, and parameters. They are numbered in the order in
   which the walk reaches them, anew in each function, contract, property, assumption, event and `init`. Nothing outside
@@ -38,8 +39,8 @@ Different programs have different encodings. The first byte of an item gives its
 fixed number of bytes, a length or count that comes first, or a fixed sequence of items. By induction over the size no
 item's bytes begin with those of another item, so bytes can be divided into items in one way only. Each item has one
 value: a tag names one node kind, and the forms of plain values are one to one. Numbers of temporaries are one to one
-with names inside a scope, where the verifier holds names to be unique. So two trees with equal bytes are equal but for
-what takes no part.
+with names inside a scope, where the verifier ensures that names are unique. So two trees with equal bytes differ at
+most in what is not encoded.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ from koordgen.lang.node import Node
 VERSION: Final = 2
 HEADER: Final = b"koord-ir\0"
 
-# A field's sign says how it is encoded: `~` a temporary's name (or a tuple of them), `:` a type (or a tuple of them)
-# whose capacities do not count, `^` a capacity, `=` a word that may be the compiler's own. A field without one is an
-# item as it stands. A tag is never used again for another kind of node.
+# A field's sign determines its encoding: `~` a temporary's name (or a tuple of them), `:` a type (or a tuple of them)
+# whose capacities do not count, `^` a capacity, `=` a word that may be one of WORDS. A field without a sign is encoded
+# as an item. A tag is never used again for another kind of node.
 LAYOUTS: Final[dict[type, tuple[int, str]]] = {
     types.Scalar: (0x10, "name"),
     types.Sized: (0x11, "name ^capacity"),
@@ -129,7 +130,7 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
     decl.Local: (0x7B, "name type initial"),
     decl.Event: (0x7C, "name guard effect lock priority"),
     decl.Property: (0x7D, "kind name formula"),
-    # `init` comes first: the temporaries of the program's own scope are its.
+    # `init` comes first, because the temporaries of the program's own scope are those of `init`.
     decl.Program: (
         0x7E,
         "name init records extern_types functions externs specs params modules shared locals locks events properties",
@@ -137,7 +138,7 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
 }
 
 # Words that no Koord program contains: directions of ports, and updates of values (ir/builtins.py). All others (names
-# of types, operators, builtin functions, kinds of properties) are the language's own and encoded as strings.
+# of types, operators, builtin functions, kinds of properties) are words of the language and encoded as strings.
 WORDS: Final[dict[str, int]] = {
     "sensor": 1, "actuator": 2, "callable": 3, "stream": 4,
     "updated": 16, "appended": 17, "extended": 18, "inserted": 19, "removed": 20, "without": 21, "popped": 22,
@@ -152,9 +153,10 @@ _Item = Node | tuple[Any, ...] | str | int | float | None
 
 
 def encode(*items: _Item) -> bytes:
-    """Return the canonical encoding of nodes, tuples and plain values. Nodes outside of any scope share one.
+    """Return the canonical encoding of nodes, tuples and plain values.
 
-    Raises TypeError for a value of another type, also of a subclass of one of these."""
+    Nodes outside of any scope are in a common one. Raises TypeError for a value of any other type, subclasses included.
+    """
     writer = _Writer(sizes=True)
     writer.write(items)
     return HEADER + _number(VERSION) + bytes(writer.out)
@@ -165,7 +167,7 @@ def _number(value: int) -> bytes:
 
 
 def _compiled(entry: tuple[int, str], node: type) -> tuple[int, bool, tuple[tuple[str, str], ...]]:
-    """A tag, whether a scope begins there, and the fields with their signs, last one first."""
+    """Return a compiled layout: tag, whether the node begins a scope, fields with their signs in reverse."""
     tag, layout = entry
     fields = [(field.lstrip("~:^="), field[0] if field[0] in "~:^=" else "") for field in layout.split()]
     return tag, node in _SCOPES, tuple(reversed(fields))
@@ -180,7 +182,7 @@ def _string(value: str) -> bytes:
 
 
 def _plain(value: object) -> bytes:
-    """A value without parts. Exact classes: True is an int as well."""
+    """Encode a value without parts. Tests exact classes, because True is also an int."""
     kind = type(value)
     if value is None:
         return b"\0"
@@ -195,14 +197,16 @@ def _plain(value: object) -> bytes:
 
 
 class _Writer:
-    """One walk in pre-order, without recursion: chains of `elif` are as deep as a program is long. `sizes`: whether
-    capacities count."""
+    """Writer of one encoding. `sizes`: whether capacities count.
+
+    It walks in pre-order without recursion, because a chain of `elif` is nested as deeply as a program is long.
+    """
 
     def __init__(self, sizes: bool) -> None:
         self.out = bytearray()
         self._sizes = sizes
-        self._temps: dict[str, int] = {}  # of the current scope
-        self._types: dict[int, bytes] = {}  # by the address of a type that the walk keeps alive
+        self._temps: dict[str, int] = {}  # numbers of the current scope's temporaries
+        self._types: dict[int, bytes] = {}  # `id` of a type, which the tree keeps alive -> its encoding
         self._strings: dict[str, bytes] = {}
 
     def write(self, items: Iterable[_Item]) -> None:
@@ -232,7 +236,7 @@ class _Writer:
                 out += _plain(item)
 
     def _names(self, parameters: tuple[decl.Parameter, ...]) -> bytes:
-        """The names of an extern function's parameters, as a tuple of strings."""
+        """Encode the names of an extern function's parameters, as a tuple of strings."""
         return b"\6" + _number(len(parameters)) + b"".join([_string(parameter.name) for parameter in parameters])
 
     def _signed(self, sign: str, value: Any) -> bytes:

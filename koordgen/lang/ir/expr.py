@@ -1,8 +1,8 @@
-"""Typed expressions: every node knows its type, every name is resolved, every widening is a node.
+"""IR of expressions: every node has a type, every name is resolved, every widening is a node.
 
-All expressions are pure; a port call alone brings in something from outside. `proved` on a node that can fail says
-that the checker showed it cannot, under the guard and the path; otherwise it is checked at run time, and the event is
-discarded when it fails.
+All expressions are pure; only a port call has an input from outside. `proved` on a node that can fail means that the
+analysis has proved that it cannot, given the guard and the path. Otherwise it is checked at run time, and the event is
+discarded if it fails.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from koordgen.lang.source import Span
 
 
 class Const(Node):
-    """A literal: int, float (finite), bool or string."""
+    """Literal int, float (finite), bool or string."""
 
     value: int | float | bool | str
     type: Type
@@ -21,28 +21,28 @@ class Const(Node):
 
 
 class Pid(Node):
-    """`pid`: this robot's index, an int in [0, N_SYS)."""
+    """Name `pid`: this robot's index, an int in [0, N_SYS)."""
 
     type: Type
     span: Span
 
 
 class NSys(Node):
-    """`N_SYS`: how many robots the fleet has, an int >= 1."""
+    """Name `N_SYS`: the number of robots in the fleet, an int >= 1."""
 
     type: Type
     span: Span
 
 
 class Ids(Node):
-    """`ID`: all robot indices, ascending, a List<int>."""
+    """Name `ID`: all robot indices in ascending order, a List<int>."""
 
     type: Type
     span: Span
 
 
 class ParamRead(Node):
-    """A constant of the build."""
+    """Read of a param: a constant of the build."""
 
     name: str
     type: Type
@@ -50,7 +50,7 @@ class ParamRead(Node):
 
 
 class LocalRead(Node):
-    """A variable of the `local` section."""
+    """Read of a variable of the `local` section."""
 
     name: str
     type: Type
@@ -58,8 +58,10 @@ class LocalRead(Node):
 
 
 class TempRead(Node):
-    """A variable declared inside an event, of a loop, a quantifier or a function's parameter; names are unique within
-    the event, the function or the property after checking. In a contract's `ensures`, `result` is one."""
+    """Read of a temporary: a variable of a block, a loop or a quantifier, or a function's parameter.
+
+    After the check, names are unique within an event, a function or a property. In `ensures`, `result` is a temporary.
+    """
 
     name: str
     type: Type
@@ -67,7 +69,7 @@ class TempRead(Node):
 
 
 class SlotRead(Node):
-    """`x[index]` of an allread variable: 0 <= index < N_SYS."""
+    """Read of a robot's slot of an allread variable: `x[index]`, with 0 <= index < N_SYS."""
 
     name: str
     index: Expr
@@ -77,7 +79,10 @@ class SlotRead(Node):
 
 
 class SlotsRead(Node):
-    """An allread variable as a whole, by pid: an argument, or what a loop runs over. Its type is PerRobot."""
+    """Read of an allread variable as a whole, by pid: as an argument or a loop's domain.
+
+    Its type is PerRobot.
+    """
 
     name: str
     type: Type
@@ -85,7 +90,7 @@ class SlotsRead(Node):
 
 
 class SharedRead(Node):
-    """An allwrite variable."""
+    """Read of an allwrite variable."""
 
     name: str
     type: Type
@@ -93,8 +98,10 @@ class SharedRead(Node):
 
 
 class PortRead(Node):
-    """`Motion.position`: a sensor as sampled at the round's start, or an actuator's last written value.
-    In an assumption `primed` stands for its value at any moment of the following delta."""
+    """Read of a port, `Motion.position`: a sensor's value at the round's start, an actuator's last value.
+
+    In an assumption `primed` means its value at any time during the following delta.
+    """
 
     module: str
     port: str
@@ -104,7 +111,7 @@ class PortRead(Node):
 
 
 class LocalOf(Node):
-    """`v[robot]` in a property: that robot's variable of the `local` section."""
+    """Read of a robot's local variable in a property: `v[robot]`."""
 
     name: str
     robot: Expr
@@ -113,7 +120,7 @@ class LocalOf(Node):
 
 
 class PortOf(Node):
-    """`Motion.position[robot]` in a property: that robot's port."""
+    """Read of a robot's port in a property: `Motion.position[robot]`."""
 
     module: str
     port: str
@@ -123,7 +130,7 @@ class PortOf(Node):
 
 
 class Widen(Node):
-    """int -> float."""
+    """Conversion of an int to a float."""
 
     operand: Expr
     type: Type
@@ -131,7 +138,7 @@ class Widen(Node):
 
 
 class Unary(Node):
-    """op: `-` on int, float, Point; `not` on bool."""
+    """Unary operator: `-` on int, float and Point; `not` on bool."""
 
     op: str
     operand: Expr
@@ -140,10 +147,12 @@ class Unary(Node):
 
 
 class Binary(Node):
-    """op: `+ - * / // % **` with Python's meaning: `/` always yields a float (or a Point), `//` and `%` floor.
-    Operands are of one type (widened by the checker) except Point * float, float * Point and Point / float; `+` also
-    joins two strings and two lists. `proved` holds for `/ // %` whose divisor was shown to differ from zero, and for
-    all others."""
+    """Binary operator: `+ - * / // % **`, with the meaning that they have in Python.
+
+    `/` always yields a float (or a Point), `//` and `%` floor. Operands are of one type (the checker widens ints),
+    except for Point * float, float * Point and Point / float. `+` also joins two strings or two lists. `proved` is true
+    for `/ // %` if the divisor is proved to differ from zero, and for all other operators.
+    """
 
     op: str
     left: Expr
@@ -154,7 +163,7 @@ class Binary(Node):
 
 
 class Compare(Node):
-    """op: `== != < <= > >=` on operands of one type; order on int, float and string only."""
+    """Comparison: `== != < <= > >=` on operands of one type; order only for int, float and string."""
 
     op: str
     left: Expr
@@ -164,8 +173,10 @@ class Compare(Node):
 
 
 class Contains(Node):
-    """`item in values`: of a List, Queue, Set, of a Map (its keys), of a string (a part of it), or a Point in a
-    Rect or Ball."""
+    """Containment `item in values`.
+
+    `values` is a List, Queue or Set, a Map (its keys), a string (a part of it), or a Rect or Ball (a Point in it).
+    """
 
     item: Expr
     values: Expr
@@ -174,7 +185,10 @@ class Contains(Node):
 
 
 class Logic(Node):
-    """op: `and` or `or`; the right side is evaluated only when the left does not decide."""
+    """Logical operator: `and` or `or`.
+
+    The right side is evaluated only if the left one does not decide the result.
+    """
 
     op: str
     left: Expr
@@ -184,7 +198,7 @@ class Logic(Node):
 
 
 class Conditional(Node):
-    """`then if condition else orelse`."""
+    """Conditional `then if condition else orelse`."""
 
     condition: Expr
     then: Expr
@@ -194,8 +208,10 @@ class Conditional(Node):
 
 
 class Quantified(Node):
-    """`forall name in domain: body` (`exists`), in a property; the domain is `Ids`, a `Range` or a list. Several names
-    arrive nested."""
+    """Quantifier `forall name in domain: body`, or `exists`, in a property.
+
+    The domain is `Ids`, a `Range` or a list. A quantifier with several names is nested quantifiers here.
+    """
 
     kind: str
     name: str
@@ -206,7 +222,7 @@ class Quantified(Node):
 
 
 class Range(Node):
-    """`range(start, stop, step)`: only what a loop or a quantifier runs over. `step` is not 0."""
+    """Domain `range(start, stop, step)` of a loop or a quantifier; `step` is not 0. It is not a value."""
 
     start: Expr
     stop: Expr
@@ -216,8 +232,10 @@ class Range(Node):
 
 
 class Make(Node):
-    """A value from its parts, in order: List, Queue, Set, tuple (its items), record (all its fields), Map (its keys
-    and values as tuples). The type says which."""
+    """Value made of its parts, in order.
+
+    `type` is List, Queue, Set, tuple, record (all fields) or Map (pairs as tuples).
+    """
 
     items: tuple[Expr, ...]
     type: Type
@@ -225,7 +243,7 @@ class Make(Node):
 
 
 class Field(Node):
-    """`operand.name`: of a Point (x, y, z: metres, local ENU frame), Pose, Grid, Scan or record."""
+    """Field `operand.name` of a Point (x, y, z in metres, local ENU frame), Pose, Grid, Scan or record."""
 
     operand: Expr
     name: str
@@ -234,7 +252,7 @@ class Field(Node):
 
 
 class Item(Node):
-    """`operand[index]` of a tuple."""
+    """Item `operand[index]` of a tuple."""
 
     operand: Expr
     index: int
@@ -243,7 +261,7 @@ class Item(Node):
 
 
 class At(Node):
-    """`operand[index]` of a List, Queue, string or PerRobot value (0 <= index < length)."""
+    """Element `operand[index]` of a List, Queue, string or PerRobot value, with 0 <= index < length."""
 
     operand: Expr
     index: Expr
@@ -253,7 +271,10 @@ class At(Node):
 
 
 class Slice(Node):
-    """`operand[start:stop]` of a List or string: clipped at the length; a negative bound discards."""
+    """Slice `operand[start:stop]` of a List or string.
+
+    It is clipped at the length; a negative bound discards.
+    """
 
     operand: Expr
     start: Expr | None
@@ -264,7 +285,10 @@ class Slice(Node):
 
 
 class With(Node):
-    """The operand with one part replaced: of a record `name`; of a tuple `name` is the index in digits."""
+    """Copy of a record or tuple with one part replaced.
+
+    `name` is the field, or the index of the item in digits.
+    """
 
     operand: Expr
     name: str
@@ -274,7 +298,7 @@ class With(Node):
 
 
 class Builtin(Node):
-    """A call of a builtin, a method with its object first, or an update of a value (see ir/builtins.py)."""
+    """Call of a builtin, a method (its object is the first argument) or an update: see ir/builtins.py."""
 
     name: str
     args: tuple[Expr, ...]
@@ -283,7 +307,7 @@ class Builtin(Node):
 
 
 class Call(Node):
-    """A call of a `fun`, or in a property of a `spec fun`."""
+    """Call of a `fun`, or, in a property, of a `spec fun`."""
 
     name: str
     args: tuple[Expr, ...]
@@ -292,7 +316,7 @@ class Call(Node):
 
 
 class ExternCall(Node):
-    """A call of an `extern fun`."""
+    """Call of an `extern fun`."""
 
     name: str
     args: tuple[Expr, ...]
@@ -301,7 +325,7 @@ class ExternCall(Node):
 
 
 class PortCall(Node):
-    """A call of a callable port: an input, the same as often as the event is run again."""
+    """Call of a callable port. Its answer is an input, which is the same when the event is run again."""
 
     module: str
     port: str

@@ -1,7 +1,7 @@
-"""Meaning of ports, for all back ends: own position, values before a command, and what a command does to sensors.
+"""Meaning of ports, for all back ends: own position, values before a command, sensors that it clears.
 
-A port's meaning is data of its declaration (`decl.Meaning`). USUAL gives it to ports that do not say theirs. All names
-that functions here take and return are of the form "Module.port".
+A port's meaning is part of its declaration (`decl.Meaning`). USUAL has it for ports that declare none. Functions here
+take and return names of the form "Module.port".
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ USUAL: Final = {
 
 
 def usual(port: Port, module: Iterable[Port]) -> Meaning:
-    """Return the meaning of a port that says none: by its name, as far as the types fit."""
+    """Return the meaning of a port that declares none: by its name, as far as the types fit."""
     found = USUAL.get((port.direction, port.name), NO_MEANING)
     sensors = {p.name: p.type for p in module if p.direction == "sensor"}
     held = found.held if port.type == POINT and sensors.get(found.held, POINT) == POINT else ""
@@ -32,7 +32,7 @@ def usual(port: Port, module: Iterable[Port]) -> Meaning:
 
 
 def declared(text: str) -> tuple[str, Meaning]:
-    """Return type and meaning of a port that is declared as in a program, without its name."""
+    """Return type and meaning of a port from a declaration as in a program, but without the port's name."""
     found = _DECLARED.fullmatch(text)
     assert found is not None, "each text fits"
     type_, place, held, clears = found.groups()
@@ -40,7 +40,7 @@ def declared(text: str) -> tuple[str, Meaning]:
 
 
 def spelled(meaning: Meaning) -> str:
-    """Return a meaning as it stands behind a port's name."""
+    """Return a meaning as a program writes it after a port's name."""
     parts = ["as position"] if meaning.is_position else []
     parts += [f"at {meaning.held}"] if meaning.held else []
     parts += [f"clears {', '.join(meaning.clears)}"] if meaning.clears else []
@@ -55,23 +55,26 @@ def ports(program: Program) -> Iterator[tuple[str, Module, Port]]:
 
 
 def positions(program: Program) -> tuple[str, ...]:
-    """Return the sensors that say where the robot itself is."""
+    """Return the sensors that are the robot's own position."""
     return tuple([name for name, _, port in ports(program) if port.meaning.is_position])
 
 
 def position_beside(program: Program, name: str) -> str:
-    """Return the own position in the module of a port; "" where the module has none."""
+    """Return the sensor of the robot's position in the module of a port; "" if the module has none."""
     module = name.partition(".")[0]
     return next((place for place in positions(program) if place.partition(".")[0] == module), "")
 
 
 def held(program: Program) -> dict[str, str]:
-    """Return the actuators that hold at a sensor's value, each with that sensor, which the program may not declare."""
+    """Return the actuators that hold at a sensor's value, with that sensor.
+
+    The program need not declare it.
+    """
     return {name: f"{m.name}.{port.meaning.held}" for name, m, port in ports(program) if port.meaning.held}
 
 
 def clears(program: Program) -> dict[str, tuple[str, ...]]:
-    """Return the sensors that a command of an actuator makes false, for each actuator of which there are some."""
+    """Return the sensors that a command makes false, for each actuator that has such sensors."""
     known = {name for name, _, port in ports(program) if port.direction == "sensor"}
     found = {}
     for name, module, port in ports(program):
@@ -82,5 +85,5 @@ def clears(program: Program) -> dict[str, tuple[str, ...]]:
 
 
 def clearable(program: Program) -> frozenset[str]:
-    """Return the sensors that commands make false. They are true before the first one."""
+    """Return the sensors that commands make false. They are true before the first command."""
     return frozenset([sensor for cleared in clears(program).values() for sensor in cleared])

@@ -1,4 +1,7 @@
-"""IR -> readable text, types shown, for `koordgen dump --after check`. The same program gives the same text."""
+"""Printer of the IR with types, for `koordgen dump --after check`.
+
+The same program gives the same text.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,11 @@ from koordgen.lang.ir.types import MapOf, Sequence, Sized, TupleOf, Type
 
 
 def show(program: decl.Program) -> str:
-    """The whole program, one declaration or statement a line. `?` after an index, a slice or an operator marks a check
-    at run time; `int -> float` stands where a value is widened; `max` tells a variable's capacities."""
+    """Return a program as text, one declaration or statement a line.
+
+    `?` after an index, a slice or an operator marks a check at run time, `int -> float` a widened value, `max` a
+    variable's capacities.
+    """
     lines = [f"program {program.name} ({program.path})"]
     lines += [f"extern type {type_.name}" for type_ in program.extern_types]
     for record in program.records:
@@ -60,7 +66,7 @@ def _variable(name: str, type_: Type, size: str = "") -> str:
 
 
 def capacities(type_: Type) -> Iterator[int]:
-    """What the parts of a type may hold at most, in the order in which `max` names them: pre-order."""
+    """Yield the capacities of a type in the order of `max`: pre-order."""
     match type_:
         case Sized(_, capacity):
             yield capacity
@@ -151,7 +157,7 @@ def _list(items: Iterable[expr.Expr]) -> str:
 
 
 def expression(node: expr.Expr) -> str:
-    """Every operator in its own parentheses: the tree as it is."""
+    """Return an expression as text, with parentheses around every operator."""
     match node:
         case expr.Const(value):
             return repr(value)
@@ -170,7 +176,7 @@ def expression(node: expr.Expr) -> str:
         case expr.Ids():
             return "ID"
         case expr.SlotRead(name, index, proved):
-            return f"{name}[{expression(index)}]{_doubt(proved)}"
+            return f"{name}[{expression(index)}]{_check_mark(proved)}"
         case expr.PortRead(module, port, primed):
             return f"{module}.{port}{_prime(primed)}"
         case expr.LocalOf(name, robot):
@@ -182,7 +188,7 @@ def expression(node: expr.Expr) -> str:
         case expr.Unary(op, operand):
             return f"({op}{' ' if op == 'not' else ''}{expression(operand)})"
         case expr.Binary(op, left, right, proved):
-            return f"({expression(left)} {op}{_doubt(proved)} {expression(right)}: {node.type})"
+            return f"({expression(left)} {op}{_check_mark(proved)} {expression(right)}: {node.type})"
         case expr.Compare(op, left, right) | expr.Logic(op, left, right):
             return f"({expression(left)} {op} {expression(right)})"
         case expr.Contains(item, values):
@@ -201,7 +207,7 @@ def _compound(
     node: expr.Make | expr.Field | expr.Item | expr.At | expr.Slice | expr.With | expr.Builtin
     | expr.Call | expr.ExternCall | expr.PortCall,
 ) -> str:  # fmt: skip
-    """What is made of parts, and calls."""
+    """Return a value made of parts, or a call, as text."""
     match node:
         case expr.Make(items, type_):
             return f"{type_}{{{_list(items)}}}"
@@ -210,14 +216,14 @@ def _compound(
         case expr.Item(operand, index):
             return f"{expression(operand)}[{index}]"
         case expr.At(operand, index, proved):
-            return f"{expression(operand)}[{expression(index)}]{_doubt(proved)}"
+            return f"{expression(operand)}[{expression(index)}]{_check_mark(proved)}"
         case expr.Slice(operand, start, stop, proved):
             bounds = ":".join("" if bound is None else expression(bound) for bound in (start, stop))
-            return f"{expression(operand)}[{bounds}]{_doubt(proved)}"
+            return f"{expression(operand)}[{bounds}]{_check_mark(proved)}"
         case expr.With(operand, name, value):
             return f"({expression(operand)} with {name} = {expression(value)})"
         case expr.Builtin(name, args):
-            # Of these the name alone does not tell the type.
+            # The names of these builtins do not determine the type of the result.
             several = name in ("abs", "min", "max", "sum", "first", "last", "map_at", "get")
             return f"({name}({_list(args)}): {node.type})" if several else f"{name}({_list(args)})"
         case expr.Call(name, args) | expr.ExternCall(name, args):
@@ -228,7 +234,7 @@ def _compound(
             assert_never(node)
 
 
-def _doubt(proved: bool) -> str:
+def _check_mark(proved: bool) -> str:
     return "" if proved else "?"
 
 

@@ -1,7 +1,7 @@
-"""Typed statements. A block is a tuple of them.
+"""IR of statements. A block is a tuple of statements.
 
-What changes a part of a value arrives as an assignment of the whole: `a[i] = v` as `a := updated(a, i, v)`. `atomic`
-blocks are inlined: an event that contains one is a transaction as a whole.
+A change of a part of a value is an assignment of the whole: `a[i] = v` is `a := updated(a, i, v)`. `atomic` blocks are
+inlined: an event that contains one is a transaction as a whole.
 """
 
 from __future__ import annotations
@@ -13,32 +13,32 @@ from koordgen.lang.source import Span
 
 
 class LocalPlace(Node):
-    """A variable of the `local` section."""
+    """Target: a variable of the `local` section."""
 
     name: str
 
 
 class OwnSlot(Node):
-    """The acting robot's slot of an allread variable: `x[pid] = ...`."""
+    """Target `x[pid] = ...`: the robot's own slot of an allread variable."""
 
     name: str
 
 
 class SharedPlace(Node):
-    """An allwrite variable, as a whole."""
+    """Target: an allwrite variable as a whole."""
 
     name: str
 
 
 class PortPlace(Node):
-    """An actuator."""
+    """Target: an actuator."""
 
     module: str
     port: str
 
 
 class TempPlace(Node):
-    """A variable declared inside the event or function."""
+    """Target: a temporary of the event or function."""
 
     name: str
 
@@ -47,7 +47,7 @@ Place = LocalPlace | OwnSlot | SharedPlace | PortPlace | TempPlace
 
 
 class Assign(Node):
-    """`place = value`; both of one type. `+=` and friends arrive here already spelled out."""
+    """Assignment `place = value`; both have the same type. `x += v` is `x = x + v` here."""
 
     place: Place
     value: Expr
@@ -55,7 +55,7 @@ class Assign(Node):
 
 
 class Let(Node):
-    """`Point goal = value`: a variable that lives to the end of its block."""
+    """Declaration `Point goal = value` of a temporary, which exists until the end of its block."""
 
     name: str
     type: Type
@@ -64,7 +64,7 @@ class Let(Node):
 
 
 class If(Node):
-    """`elif` arrives as an If in `orelse`."""
+    """Statement `if`. An `elif` is an If in `orelse`."""
 
     condition: Expr
     then: Block
@@ -73,17 +73,21 @@ class If(Node):
 
 
 class LoopInvariant(Node):
-    """A condition that is evaluated at a loop's head: before the first turn, before each further turn, and when the
-    condition of `while` is false or the elements of `for` are used up. A false one is reported and changes nothing."""
+    """Loop invariant: a condition evaluated at the loop's head, before each iteration and after the last.
+
+    A false one is reported and changes nothing.
+    """
 
     formula: Expr
     span: Span
 
 
 class For(Node):
-    """Runs over the value of `values` as it is at the start. One name takes each element (of a Map: each key); several
-    names take the items of each element, a tuple of that length. The names live in the block. Over a Range or Ids, the
-    name may stand in an invariant, where it is the next value: `start` at first, at the end the first value not taken.
+    """Loop `for`, over the value that `values` has when the loop begins.
+
+    A single name takes each element (of a Map: each key); several names take the items of each element, a tuple of that
+    length. The names exist within the block. For a Range or Ids, an invariant may read the name; there it is the next
+    value: `start` at first, at the end the first unused value.
     """
 
     names: tuple[str, ...]
@@ -95,7 +99,7 @@ class For(Node):
 
 
 class While(Node):
-    """`while condition:`"""
+    """Loop `while condition:`."""
 
     condition: Expr
     block: Block
@@ -104,27 +108,30 @@ class While(Node):
 
 
 class Break(Node):
-    """Leaves the innermost loop."""
+    """Statement `break`: leaves the innermost loop."""
 
     span: Span
 
 
 class Continue(Node):
-    """Goes on with the innermost loop."""
+    """Statement `continue`: goes on with the next iteration of the innermost loop."""
 
     span: Span
 
 
 class Return(Node):
-    """A function's result; only in functions, every way through one ends in it."""
+    """Statement `return value`, only in functions. Every path through a function ends with one."""
 
     value: Expr
     span: Span
 
 
 class Emit(Node):
-    """`Log.stdout << a << b`: one line of text to a stream, the items' texts joined, when the event counts.
-    The items are strings (the checker puts `str` around numbers and bools, and shows a Point as `(x, y, z)`)."""
+    """Statement `Log.stdout << a << b`: writes a line to a stream unless the event is discarded.
+
+    The line is the concatenation of the items. They are strings: the checker puts `str` around numbers, bools and
+    Points, which are shown as `(x, y, z)`.
+    """
 
     module: str
     port: str
@@ -133,7 +140,7 @@ class Emit(Node):
 
 
 class Stop(Node):
-    """`stop`: the event ends here; once it counts, the robot holds for good."""
+    """Statement `stop`: ends the event. Unless the event is discarded, the robot stops for good."""
 
     span: Span
 

@@ -1,12 +1,12 @@
-"""The one way through trees of the IR: `children`, `walk`, `statements`, `map_children`, `transform`.
+"""Walks over trees of the IR: `children`, `walk`, `statements`, `map_children`, `transform`.
 
-A child is a node of the program in a field of another one: an expression, a statement, a place that is written, a
-declaration. Types, meanings of ports and spans are no children, and have none: they are read where they stand.
+A child is a node of the program in a field of another one: an expression, a statement, a target, a declaration. Types,
+meanings of ports and spans are not children and have none.
 
-The order is that of the fields. It is the order of the text but for a Conditional, whose condition comes before `then`,
-and for loops, whose invariants come behind the block.
+The order is that of the fields. It is the order of the text except for a Conditional, whose condition comes before
+`then`, and for loops, whose invariants come after the block.
 
-Which fields of a class have children is read from their annotations, once.
+Annotations determine which fields of a class have children; they are read once.
 """
 
 from __future__ import annotations
@@ -18,21 +18,24 @@ from typing import Any, TypeVar, assert_never
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.node import Node, replace
 
-Part = Node | tuple["Part", ...]  # a node, or a tuple of such: a block, formulas, a guard and its effect
+Part = Node | tuple["Part", ...]  # a node, or a tuple of parts: a block, formulas, a guard and its effect
 N = TypeVar("N", bound=Node)
 _Children = Callable[[Any], tuple[Node, ...]]
 
 _IR = "koordgen.lang.ir."
-_NO_CHILDREN = frozenset(("Span", "Type", "RecordType", "Meaning", "Literal", "None"))  # words of annotations
+_NO_CHILDREN = frozenset(("Span", "Type", "RecordType", "Meaning", "Literal", "None"))  # words in annotations
 
 
 def children(node: Node) -> tuple[Node, ...]:
-    """Return the nodes directly below a node, in the order of the fields. TypeError for a node that is not the IR's."""
+    """Return the children of a node, in the order of the fields.
+
+    Raises TypeError for a node outside of the IR.
+    """
     return _CHILDREN[type(node)](node)
 
 
 def walk(part: Part) -> Iterator[Node]:
-    """Yield a node, or each of a tuple in turn, and all nodes below it: depth first, each before its children."""
+    """Yield a node, or all nodes of a tuple, and all nodes below: depth first, each before its children."""
     pending: list[Part] = [part]
     while pending:
         part = pending.pop()
@@ -46,12 +49,14 @@ def walk(part: Part) -> Iterator[Node]:
 
 
 def statements(block: Sequence[draft.Draft]) -> Iterator[stmt.Stmt]:
-    """Yield the statements of a block, each before those of its own blocks, in the order of the text. No expression is
-    gone into. Drafts are left out."""
+    """Yield the statements of a block and of its inner blocks, in the order of the text.
+
+    Expressions are not walked. Drafts are left out.
+    """
     pending = list(block[::-1])
     while pending:
         statement = pending.pop()
-        if isinstance(statement, (draft.Atomic, draft.Unread, draft.Wrong)):
+        if isinstance(statement, (draft.Atomic, draft.UnparsedStmt, draft.WrongStmt)):
             continue
         yield statement
         match statement:
@@ -69,8 +74,10 @@ def statements(block: Sequence[draft.Draft]) -> Iterator[stmt.Stmt]:
 
 
 def map_children(node: N, function: Callable[[Any], Node]) -> N:
-    """Return a node with each of its children replaced by `function` of it, called in their order. All other fields
-    stay, the span among them. A node none of whose children changes is returned itself."""
+    """Return a node with `function` applied to each of its children, in their order.
+
+    All other fields are kept, the span included. If no child changes, the same node is returned.
+    """
     changes: dict[str, object] = {}
     for field in child_fields(type(node)):
         old = getattr(node, field)
@@ -86,18 +93,22 @@ def map_children(node: N, function: Callable[[Any], Node]) -> N:
 
 
 def transform(node: Node, function: Callable[[Any], Node]) -> Node:
-    """Return a tree with every node replaced by `function` of it, from the leaves up: `function` is given each node
-    with the children that it has by then. Parts in which nothing changes are returned themselves."""
+    """Return a tree with `function` applied to every node, from the leaves up.
+
+    `function` gets each node with its children already replaced. Subtrees without changes are not copied.
+    """
     return function(map_children(node, lambda child: transform(child, function)))
 
 
 def child_fields(kind: type[Node]) -> tuple[str, ...]:
-    """Return the names of the fields in which nodes of a class have children, in order: one child, a tuple of children,
-    or None. TypeError for a class that is not the IR's."""
+    """Return the names of a class's fields that hold children: one child, a tuple of children, or None.
+
+    Raises TypeError for a class outside of the IR.
+    """
     found = _FIELDS.get(kind)
     if found is None:
         if not kind.__module__.startswith(_IR):
-            raise TypeError(f"{kind.__name__} is no node of the IR")
+            raise TypeError(f"{kind.__name__} is not a node of the IR")
         annotations = kind.__annotations__
         found = _FIELDS[kind] = tuple([field for field in annotations if _has_children(annotations[field])])
     return found
@@ -109,8 +120,10 @@ def _has_children(annotation: str) -> bool:
 
 
 def _getter(kind: type[Node]) -> _Children:
-    """A function that returns the children of nodes of a class: a mere `attrgetter` where the fields are as it yields
-    them."""
+    """Return a function that returns the children of nodes of a class.
+
+    It is a plain `attrgetter` where possible.
+    """
     fields = child_fields(kind)
     if not fields:
         return lambda node: ()
@@ -134,7 +147,7 @@ def _flat(parts: tuple[Node | tuple[Node, ...] | None, ...]) -> tuple[Node, ...]
 
 
 class _Getters(dict[type[Node], _Children]):
-    """Functions that return the children of a node, by its class, each made when it is first asked for."""
+    """Cache: class of nodes -> function that returns their children, made on demand."""
 
     def __missing__(self, kind: type[Node]) -> _Children:
         found = self[kind] = _getter(kind)

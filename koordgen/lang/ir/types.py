@@ -1,7 +1,7 @@
-"""The types of Koord values, as the IR carries them. A type prints as the user writes it.
+"""Types of the IR. `str` of a type is its form in a program.
 
-Capacities bound what a variable may hold; like spans they take no part in equality: a list of at most 8 fits a
-variable of at most 4 as long as it is short enough when the event ends.
+Capacities limit the size of a variable's value. Like spans they do not count in equality: a list with capacity 8 can be
+assigned to a variable with capacity 4, if it has at most 4 elements when the event ends.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from koordgen.lang.node import Node
 
 
 class Scalar(Node):
-    """A type without parts: one of the constants below."""
+    """Type without parts: one of the constants below."""
 
     name: str
 
@@ -19,7 +19,7 @@ class Scalar(Node):
 
 
 class Sized(Node):
-    """A type without parts whose values vary in length: a string (bytes of UTF-8), a GridMap (cells), a Scan (rays)."""
+    """Type without parts but with a capacity: string (bytes of UTF-8), GridMap (cells) or Scan (rays)."""
 
     name: str
     capacity: int
@@ -29,7 +29,7 @@ class Sized(Node):
 
 
 class Sequence(Node):
-    """`List<T>`, `Queue<T>`, `Set<T>`: `name` is that word."""
+    """Type `List<T>`, `Queue<T>` or `Set<T>`. `name` is "List", "Queue" or "Set"."""
 
     name: str
     element: Type
@@ -40,7 +40,7 @@ class Sequence(Node):
 
 
 class MapOf(Node):
-    """`Map<K, V>`"""
+    """Type `Map<K, V>`."""
 
     key: Type
     value: Type
@@ -51,7 +51,7 @@ class MapOf(Node):
 
 
 class TupleOf(Node):
-    """`(A, B)`: two items at least."""
+    """Type `(A, B)` of tuples with two or more items."""
 
     items: tuple[Type, ...]
 
@@ -60,7 +60,7 @@ class TupleOf(Node):
 
 
 class RecordType(Node):
-    """`def Task:`; fields in the order of their declaration."""
+    """Type of a record, `def Task:`, with its fields in the order of their declaration."""
 
     name: str
     fields: tuple[tuple[str, Type], ...]
@@ -70,7 +70,7 @@ class RecordType(Node):
 
 
 class ExternType(Node):
-    """`extern type Ticket`: a value that only extern functions can look into."""
+    """Type `extern type Ticket`, whose values are opaque to all but extern functions."""
 
     name: str
 
@@ -79,7 +79,7 @@ class ExternType(Node):
 
 
 class PerRobot(Node):
-    """`T name[N_SYS]`: one value a robot, indexed by pid (an allread variable, a parameter of a function)."""
+    """Type of `T name[N_SYS]`, an allread variable or a parameter: one value for each robot, by pid."""
 
     element: Type
 
@@ -87,7 +87,7 @@ class PerRobot(Node):
         return f"{self.element}[N_SYS]"
 
 
-# Capacities where none is declared: of what is shared, and of what a robot keeps to itself.
+# Default capacities: of shared variables, and of local ones.
 SHARED_ELEMENTS, SHARED_BYTES, SHARED_CELLS, SHARED_RAYS = 64, 256, 1024, 64
 LOCAL_ELEMENTS, LOCAL_BYTES, LOCAL_CELLS, LOCAL_RAYS = 4096, 4096, 65536, 4096
 
@@ -97,7 +97,7 @@ BOOL = Scalar("bool")
 POINT = Scalar("Point")
 POSE = Scalar("Pose")
 GRID = Scalar("Grid")
-# Regions stand on the right of `in` only; a planner and a stream are ports only.
+# Regions may only stand on the right of `in`; a planner and a stream are only types of ports.
 RECT = Scalar("Rect")
 BALL = Scalar("Ball")
 PLANNER = Scalar("PathPlanner")
@@ -105,26 +105,29 @@ STREAM = Scalar("stream")
 STRING = Sized("string", SHARED_BYTES)
 GRIDMAP = Sized("GridMap", SHARED_CELLS)
 SCAN = Sized("Scan", SHARED_RAYS)
-# What a failed check leaves behind: it agrees with everything, so that one mistake gives one message.
+# Type of an expression with an error. It agrees with every type, so that one mistake gives one message.
 POISON = Scalar("<error>")
 
-# The types that a program names by a plain word, beside its records and extern types.
+# Types with a plain name, apart from records and extern types.
 NAMED: dict[str, Scalar | Sized] = {
     t.name: t for t in (INT, FLOAT, BOOL, STRING, POINT, POSE, GRID, GRIDMAP, SCAN, PLANNER, STREAM)
 }
-# The words that stand before `<`: how many types they take.
+# Names of container types -> number of types between `<` and `>`.
 GENERIC: dict[str, int] = {"List": 1, "Queue": 1, "Set": 1, "Map": 2}
 
 Type = Scalar | Sized | Sequence | MapOf | TupleOf | RecordType | ExternType | PerRobot
 
 
 def list_of(element: Type) -> Sequence:
-    """`List<element>` without a declared capacity."""
+    """Return `List<element>` with the default capacity."""
     return Sequence("List", element, SHARED_ELEMENTS)
 
 
 def is_key(type_: Type) -> bool:
-    """Whether values of a type may be elements of a Set and keys of a Map: they have one exact order."""
+    """Return whether values of a type may be elements of a Set and keys of a Map.
+
+    Such values have an exact total order.
+    """
     match type_:
         case TupleOf(items):
             return all(map(is_key, items))

@@ -1,4 +1,4 @@
-"""Holds a program to the IR's invariants after every pass: a breach is a mistake of the compiler."""
+"""Verifier of the IR's invariants, run after every pass. A violation is a bug of the compiler."""
 
 from __future__ import annotations
 
@@ -26,14 +26,16 @@ from koordgen.lang.ir.types import (
     is_key,
 )
 from koordgen.lang.ir.verify_expr import Expressions
-from koordgen.lang.ir.verify_type import must, must_not
+from koordgen.lang.ir.verify_type import fail, require
 from koordgen.lang.source import Span
 
 
 def verify(program: decl.Program) -> None:
-    """Raises InternalError when types disagree, a name is not resolved, a temp is out of scope, an operator is none of
-    the IR's, something stands where it has no place, a transaction's variables are not those of its lock, or the events
-    of a `priority:` block do not stand together."""
+    """Raise InternalError if a program violates an invariant of the IR.
+
+    Invariants: types agree, names are resolved, temps are in scope, operators exist, each construct is allowed in its
+    section, a transaction's variables belong to its lock, and the events of a `priority:` block are adjacent.
+    """
     walk = _Walk(program)
     walk.declarations()
     walk.functions()
@@ -66,7 +68,7 @@ class _Walk(Expressions):
         self.blocks()
         _distinct("property", [(q.name, q.span) for q in p.properties if q.name])
         for record in p.records:
-            must(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
+            require(len(record.defaults) == len(record.type.fields), "a record lacks defaults", record.span)
             for value, (_, type_) in zip(record.defaults, record.type.fields, strict=True):
                 self.variable("literal", type_, value, record.span)
         for param in p.params:
@@ -78,7 +80,9 @@ class _Walk(Expressions):
             _distinct("port", [(port.name, port.span) for port in module.ports])
             for port in module.ports:
                 special = {"callable": PLANNER, "stream": STREAM}.get(port.direction)
-                must(special is None or port.type == special, f"{port.name} is a {port.type}", port.span)
+                require(
+                    special is None or port.type == special, f"the port {port.name} has the type {port.type}", port.span
+                )
                 if special is None:
                     self.plain(port.type, port.span)
         self.locks()
@@ -89,29 +93,38 @@ class _Walk(Expressions):
         self.typed(value, type_)
 
     def plain(self, type_: Type, span: Span) -> None:
-        """That values of a type may be stored: no port, region or poison, keys of a type with an order, capacities."""
+        """Verify that values of a type can be stored: no port, region or poison.
+
+        Ordered keys; positive capacities.
+        """
         match type_:
             case Scalar():
-                must(type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"a value of type {type_}", span)
+                require(
+                    type_ not in (POISON, PLANNER, STREAM, RECT, BALL), f"values of type {type_} cannot be stored", span
+                )
             case Sized(name, capacity):
-                must(capacity > 0, f"a {name} of capacity {capacity}", span)
+                require(capacity > 0, f"the capacity {capacity} of a {name} is not positive", span)
             case Sequence(name, element, capacity):
-                must(name in ("List", "Queue", "Set") and capacity > 0, f"{type_} of {capacity}", span)
-                must(name != "Set" or is_key(element), f"{type_}", span)
+                require(
+                    name in ("List", "Queue", "Set") and capacity > 0,
+                    f"{type_} with the capacity {capacity} is not a valid type",
+                    span,
+                )
+                require(name != "Set" or is_key(element), f"{type_} has elements without an order", span)
                 self.plain(element, span)
             case MapOf(key, value, capacity):
-                must(is_key(key) and capacity > 0, f"{type_} of {capacity}", span)
+                require(is_key(key) and capacity > 0, f"{type_} with the capacity {capacity} is not a valid type", span)
                 self.plain(value, span)
             case TupleOf(items):
-                must(len(items) > 1, "a tuple of one", span)
+                require(len(items) > 1, "a tuple has one item", span)
                 for item in items:
                     self.plain(item, span)
             case RecordType(name):
-                must(self.records.get(name) == type_, f"no record {name}", span)
+                require(self.records.get(name) == type_, f"the record {name} is not declared", span)
             case ExternType(name):
-                must(name in self.extern_types, f"no extern type {name}", span)
+                require(name in self.extern_types, f"the extern type {name} is not declared", span)
             case PerRobot():
-                must(False, f"a value of type {type_}", span)
+                require(False, f"values of type {type_} cannot be stored", span)
             case _:
                 assert_never(type_)
 
@@ -120,18 +133,22 @@ class _Walk(Expressions):
         _distinct("locked variable", [(name, at) for group in self.program.locks for name in group])
         declared = {v.name for v in self.program.shared}
         for group in self.program.locks:
-            must(bool(group) and declared.issuperset(group), f"a lock of {', '.join(group) or 'nothing'}", at)
+            require(
+                bool(group) and declared.issuperset(group),
+                f"a lock has undeclared variables, or none: {', '.join(group)}",
+                at,
+            )
 
     def functions(self) -> None:
         callees: set[str] = set()
         for function in self.program.functions:
-            self.callees = callees  # those before it
+            self.callees = callees  # functions before this one
             self.enter("function")
             self.parameters(function.parameters, function.span)
             self.plain(function.result, function.span)
             self.result = function.result
             self.block(function.block)
-            must(_returns(function.block), f"{function.name} can end without a result", function.span)
+            require(_returns(function.block), f"{function.name} can end without a result", function.span)
             callees.add(function.name)
         for extern in self.program.externs:
             self.enter("contract")
@@ -139,7 +156,7 @@ class _Walk(Expressions):
             self.plain(extern.result, extern.span)
             for formula in extern.requires:
                 self.typed(formula, BOOL)
-            must("result" not in self.temps, f"a parameter of {extern.name} is called result", extern.span)
+            require("result" not in self.temps, f"a parameter of {extern.name} is called result", extern.span)
             self.temps["result"] = extern.result
             for formula in extern.ensures:
                 self.typed(formula, BOOL)
@@ -155,12 +172,12 @@ class _Walk(Expressions):
             self.declare(parameter.name, type_, span)
 
     def blocks(self) -> None:
-        """The `priority:` blocks are numbered from 0 in text order, and the events of each stand together."""
+        """Verify that `priority:` blocks are numbered from 0 in text order and that their events are adjacent."""
         last, before = -1, None
         for event in self.program.events:
             block = event.priority
             known = block is None or block == last + 1 or (block == last and block == before)
-            must(known, f"{event.name} is in the priority block {block}, which is not the next one", event.span)
+            require(known, f"{event.name} is in the priority block {block}, out of order", event.span)
             last, before = last if block is None else block, block
 
     def event(self, event: decl.Event) -> None:
@@ -170,8 +187,10 @@ class _Walk(Expressions):
         self.block(event.effect)
         if event.lock is not None:
             locks = self.program.locks
-            must(0 <= event.lock < len(locks), f"no lock {event.lock}", event.span)
-            must(self.shared.issubset(locks[event.lock]), f"{event.name} uses more than its lock", event.span)
+            require(0 <= event.lock < len(locks), f"the lock {event.lock} does not exist", event.span)
+            require(
+                self.shared.issubset(locks[event.lock]), f"{event.name} uses variables outside of its lock", event.span
+            )
 
     # Statements
 
@@ -207,9 +226,13 @@ class _Walk(Expressions):
         element = self.element(node.values)
         if len(node.names) > 1:
             pairs = isinstance(element, TupleOf) and element.items == node.types
-            must(pairs, f"a {element} for {len(node.names)} names", node.span)
+            require(pairs, f"an element of type {element} cannot be assigned to {len(node.names)} names", node.span)
         else:
-            must((element,) == node.types, f"a {element} for a {node.types[0]}", node.span)
+            require(
+                (element,) == node.types,
+                f"an element of type {element} cannot be assigned to a {node.types[0]}",
+                node.span,
+            )
         named = isinstance(node.values, (expr.Range, expr.Ids))
         if not named:
             self.invariants(node)
@@ -232,17 +255,17 @@ class _Walk(Expressions):
     def simple(self, node: stmt.Break | stmt.Continue | stmt.Return | stmt.Emit | stmt.Stop) -> None:
         match node:
             case stmt.Break(span) | stmt.Continue(span):
-                must(self.loops > 0, "outside a loop", span)
+                require(self.loops > 0, "break or continue outside of a loop", span)
             case stmt.Return(value, span):
-                must(self.place == "function" and self.result is not None, "a return outside a function", span)
+                require(self.place == "function" and self.result is not None, "return outside of a function", span)
                 assert self.result is not None
                 self.typed(value, self.result)
             case stmt.Stop(span):
-                must(self.place in ("init", "effect"), f"a stop in a {self.place}", span)
+                require(self.place in ("init", "effect"), f"stop is not allowed in a {self.place}", span)
             case stmt.Emit(module, port, items, span):
-                must(self.place in ("init", "effect"), f"output in a {self.place}", span)
+                require(self.place in ("init", "effect"), f"writing to a stream is not allowed in a {self.place}", span)
                 found = self.ports.get((module, port))
-                must(found is not None and found.direction == "stream", f"{module}.{port} is no stream", span)
+                require(found is not None and found.direction == "stream", f"{module}.{port} is not a stream", span)
                 for item in items:
                     self.typed(item, STRING)
             case _:
@@ -250,7 +273,7 @@ class _Walk(Expressions):
 
     def target(self, place: stmt.Place, span: Span) -> Type:
         if self.place not in ("init", "effect") and not isinstance(place, stmt.TempPlace):
-            must(False, f"a write in a {self.place}", span)
+            require(False, f"an assignment is not allowed in a {self.place}", span)
         match place:
             case stmt.LocalPlace(name):
                 return self.known(self.locals, name, span)
@@ -265,7 +288,7 @@ class _Walk(Expressions):
             case stmt.PortPlace(module, port):
                 found = self.ports.get((module, port))
                 if found is None or found.direction != "actuator":
-                    return must_not(f"{module}.{port} is no actuator", span)
+                    return fail(f"{module}.{port} is not an actuator", span)
                 return found.type
             case _:
                 assert_never(place)
@@ -274,12 +297,12 @@ class _Walk(Expressions):
 def _distinct(what: str, named: Iterable[tuple[str, Span]]) -> None:
     seen: set[str] = set()
     for name, span in named:
-        must(name not in seen, f"two {what}s are called {name}", span)
+        require(name not in seen, f"two {what}s are called {name}", span)
         seen.add(name)
 
 
 def _returns(block: stmt.Block) -> bool:
-    """Whether every way through a block ends in a `return`, or in a loop that nothing leaves."""
+    """Return whether every path through a block ends in a `return` or in an endless loop."""
     for statement in block:
         match statement:
             case stmt.Return():
@@ -294,7 +317,7 @@ def _returns(block: stmt.Block) -> bool:
 
 
 def _breaks(block: stmt.Block) -> bool:
-    """Whether a block may leave the loop around it."""
+    """Return whether a block may leave the enclosing loop by `break`."""
     return any(
         isinstance(s, stmt.Break) or (isinstance(s, stmt.If) and (_breaks(s.then) or _breaks(s.orelse))) for s in block
     )

@@ -1,4 +1,4 @@
-"""The invariants of expressions: the type of every node, by its parts, and where it may stand."""
+"""Verifier of expressions: the type of every node by its parts, and the sections that allow it."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ from koordgen.lang.ir.verify_type import (
     at_type,
     binary_type,
     builtin_type,
+    fail,
     fields_of,
     fits,
     literal_type,
-    must,
-    must_not,
+    require,
 )
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 
-# Where a node may stand, if not everywhere: `literal` (a param's default, a record's), `constant` (other first values),
-# `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`.
+# Sections that allow a node, if not all do: `literal` (defaults of params and records), `constant` (other initial
+# values), `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`.
 _ACTING = frozenset(("init", "guard", "effect"))
 _PLACES: dict[type, frozenset[str]] = {
     expr.Pid: _ACTING | {"assume"},
@@ -65,7 +65,7 @@ _PLACES: dict[type, frozenset[str]] = {
 
 
 class Expressions:
-    """What a program declares, and the place at which its expressions are looked at."""
+    """Verifier of a program's expressions: its declarations, and the state of the current section."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -79,52 +79,52 @@ class Expressions:
         self.signatures = {f.name: f for f in program.functions}
         self.externs = {f.name: f for f in program.externs}
         self.specs = {f.name: f for f in program.specs}
-        self.callees = set(self.signatures)  # in a function: those before it
+        self.callees = set(self.signatures)  # functions that may be called; in a function: those before it
         self.enter("constant")
 
     def enter(self, place: str) -> None:
-        """Begin a section: no temps."""
+        """Begin a section, without temps."""
         self.place = place
         self.temps: dict[str, Type] = {}
         self.minted: set[str] = set()
-        self.shared: set[str] = set()  # the shared variables it reads or writes
+        self.shared: set[str] = set()  # shared variables that the section reads or writes
         self.module = ""
         self.result: Type | None = None
         self.loops = 0
-        self.at_head = False  # within a loop invariant
+        self.at_head = False  # inside a loop invariant
 
     def declare(self, name: str, type_: Type, span: Span) -> None:
-        must(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
+        require(name not in self.minted, f"{name} is declared twice in one {self.place}", span)
         self.minted.add(name)
         self.temps[name] = type_
 
     def known(self, declared: dict[str, Type], name: str, span: Span) -> Type:
         found = declared.get(name)
-        return must_not(f"{name} is not declared", span) if found is None else found
+        return fail(f"{name} is not declared", span) if found is None else found
 
     def typed(self, node: expr.Expr, type_: Type) -> None:
-        """A node must be of a type."""
+        """Verify a node and that it has a type."""
         found = self.type_of(node)
         if found is not type_ and found != type_:
-            must(False, f"a {type_} is wanted, not a {found}", node.span)
+            require(False, f"expected a {type_}, found a {found}", node.span)
 
     def type_of(self, node: expr.Expr) -> Type:
-        """The type of a node, which its parts agree with."""
+        """Verify a node and return its type, which is derived from its parts."""
         kind = type(node)
         places = _PLACES.get(kind)
         if self.at_head and kind is expr.PortCall:
-            must(False, "a PortCall in a loop invariant", node.span)
+            require(False, "a PortCall is not allowed in a loop invariant", node.span)
         if places is not None and self.place not in places and not (self.at_head and kind is expr.Quantified):
-            must(False, f"a {kind.__name__} in a {self.place}", node.span)
+            require(False, f"a {kind.__name__} is not allowed in a {self.place}", node.span)
         found: Type = _READERS.get(kind, Expressions.unknown)(self, node)
         if found is not node.type and found != node.type:
-            must(False, f"a node of type {node.type} yields {found}", node.span)
+            require(False, f"a node has the type {node.type}, but its parts yield {found}", node.span)
         return found
 
     def unknown(self, node: Node) -> Type:
-        return must_not(f"{type(node).__name__} is no expression", node.span)  # type: ignore[attr-defined]
+        return fail(f"{type(node).__name__} is not an expression", node.span)  # type: ignore[attr-defined]
 
-    # What is read
+    # Reads
 
     def const(self, node: expr.Const) -> Type:
         return literal_type(node.value, node.span)
@@ -141,7 +141,9 @@ class Expressions:
     def slot(self, node: expr.SlotRead) -> Type:
         self.shared.add(node.name)
         self.typed(node.index, INT)
-        must(self.place != "init" or isinstance(node.index, expr.Pid), "init reads another's slot", node.span)
+        require(
+            self.place != "init" or isinstance(node.index, expr.Pid), "init reads the slot of another robot", node.span
+        )
         return self.known(self.slots, node.name, node.span)
 
     def cell(self, node: expr.SharedRead) -> Type:
@@ -149,7 +151,7 @@ class Expressions:
         return self.known(self.cells, node.name, node.span)
 
     def port_read(self, node: expr.PortRead) -> Type:
-        must(not node.primed or self.place == "assume", "a primed port", node.span)
+        require(not node.primed or self.place == "assume", "a primed port is only allowed in an assumption", node.span)
         return self.port(node.module, node.port, node.span)
 
     def read(self, node: expr.ParamRead | expr.SlotsRead | expr.LocalOf | expr.PortOf | expr.Ids) -> Type:
@@ -174,30 +176,30 @@ class Expressions:
     def port(self, module: str, port: str, span: Span) -> Type:
         found = self.ports.get((module, port))
         if found is None or found.direction not in ("sensor", "actuator"):
-            return must_not(f"{module}.{port} is not read", span)
+            return fail(f"{module}.{port} cannot be read", span)
         if self.place == "assume" and module != self.module:
-            must(False, f"{module}.{port} is another module's", span)
+            require(False, f"{module}.{port} belongs to another module", span)
         return found.type
 
-    # What is computed
+    # Operations
 
     def binary(self, node: expr.Binary) -> Type:
         op = node.op
         if not node.proved and op not in ("/", "//", "%"):
-            must(False, f"{op} needs no proof", node.span)
+            require(False, f"{op} cannot fail, but is not marked as proved", node.span)
         return binary_type(op, self.type_of(node.left), self.type_of(node.right), node.span)
 
     def compare(self, node: expr.Compare) -> Type:
         op, type_ = node.op, self.type_of(node.left)
         self.typed(node.right, type_)
         if type_ is INT or type_ is FLOAT or type_ in ORDERED_TYPES:
-            must(op in ("==", "!=", "<", "<=", ">", ">="), "no such comparison", node.span)
+            require(op in ("==", "!=", "<", "<=", ">", ">="), "the operator is not a comparison", node.span)
         elif type_ in (RECT, BALL, PLANNER, STREAM) or op not in ("==", "!="):
-            must(False, f"{op} on {type_}", node.span)
+            require(False, f"{op} does not apply to {type_}", node.span)
         return BOOL
 
     def logic(self, node: expr.Logic) -> Type:
-        must(node.op in ("and", "or"), "no such operator", node.span)
+        require(node.op in ("and", "or"), "the operator is not and or or", node.span)
         self.typed(node.left, BOOL)
         self.typed(node.right, BOOL)
         return BOOL
@@ -214,7 +216,7 @@ class Expressions:
             case expr.Unary(op, operand):
                 type_ = self.type_of(operand)
                 allowed = {"not": (BOOL,), "-": (INT, FLOAT, POINT)}.get(op, ())
-                must(type_ in allowed, f"{op} on {type_}", span)
+                require(type_ in allowed, f"{op} does not apply to {type_}", span)
                 return type_
             case expr.Conditional(condition, then, orelse):
                 self.typed(condition, BOOL)
@@ -224,13 +226,13 @@ class Expressions:
             case expr.Contains(item, values):
                 return self.contains(item, values)
             case expr.Quantified(kind, name, domain, body):
-                must(kind in ("forall", "exists"), f"no quantifier {kind}", span)
+                require(kind in ("forall", "exists"), f"{kind} is not a quantifier", span)
                 self.declare(name, self.element(domain), span)
                 self.typed(body, BOOL)
                 del self.temps[name]
                 return BOOL
             case expr.Range():
-                return must_not("a range is what a loop or a quantifier runs over", span)
+                return fail("a range is only allowed as the domain of a loop or a quantifier", span)
             case _:
                 assert_never(node)
 
@@ -240,22 +242,22 @@ class Expressions:
             case Sequence(_, element) | PerRobot(element) | MapOf(element):
                 self.typed(item, element)
             case _:
-                must(held in (STRING, RECT, BALL), f"nothing is in a {held}", values.span)
+                require(held in (STRING, RECT, BALL), f"in does not apply to a {held}", values.span)
                 self.typed(item, STRING if held == STRING else POINT)
         return BOOL
 
     def element(self, node: expr.Expr) -> Type:
-        """What a loop or a quantifier over it runs over."""
+        """Return the type of the elements of a loop's or quantifier's domain."""
         if isinstance(node, expr.Range):
             self.typed(node.start, INT)
             self.typed(node.stop, INT)
-            must(node.step != 0 and node.type == list_of(INT), "a range of no steps", node.span)
+            require(node.step != 0 and node.type == list_of(INT), "a range has the step 0 or the wrong type", node.span)
             return INT
         match self.type_of(node):
             case Sequence(_, element) | PerRobot(element) | MapOf(element):
                 return element
             case other:
-                return must_not(f"nothing runs over a {other}", node.span)
+                return fail(f"a {other} has no elements to iterate over", node.span)
 
     def part(
         self, node: expr.Builtin | expr.Field | expr.Make | expr.At | expr.Item | expr.Slice | expr.With
@@ -275,7 +277,9 @@ class Expressions:
                 return at_type(self.type_of(operand), span)
             case expr.Item(operand, index):
                 type_ = self.type_of(operand)
-                must(isinstance(type_, TupleOf) and 0 <= index < len(type_.items), f"no item {index}", span)
+                require(
+                    isinstance(type_, TupleOf) and 0 <= index < len(type_.items), f"the tuple has no item {index}", span
+                )
                 assert isinstance(type_, TupleOf)
                 return type_.items[index]
             case expr.Slice(operand, start, stop):
@@ -283,11 +287,15 @@ class Expressions:
                     if bound is not None:
                         self.typed(bound, INT)
                 type_ = self.type_of(operand)
-                must(type_ == STRING or (isinstance(type_, Sequence) and type_.name == "List"), f"{type_}", span)
+                require(
+                    type_ == STRING or (isinstance(type_, Sequence) and type_.name == "List"),
+                    f"a {type_} has no slices",
+                    span,
+                )
                 return type_
             case expr.With(operand, name, value):
                 type_ = self.type_of(operand)
-                must(isinstance(type_, (RecordType, TupleOf)), f"a {type_} with {name}", span)
+                require(isinstance(type_, (RecordType, TupleOf)), f"a {type_} has no part {name} to replace", span)
                 self.typed(value, self.known(fields_of(type_), name, span))
                 return type_
             case _:
@@ -303,13 +311,13 @@ class Expressions:
             case TupleOf(parts):
                 wanted = parts
             case RecordType(name, fields):
-                must(self.records.get(name) == type_, f"no record {name}", span)
+                require(self.records.get(name) == type_, f"the record {name} is not declared", span)
                 wanted = tuple([field for _, field in fields])
             case _:
                 empty = type_ in (GRIDMAP, SCAN) or (isinstance(type_, ExternType) and type_.name in self.extern_types)
-                must(empty, f"a {type_} is not made", span)
+                require(empty, f"a {type_} is not made of parts", span)
                 wanted = ()
-        must(len(items) == len(wanted), f"{len(items)} parts of a {type_}", span)
+        require(len(items) == len(wanted), f"a {type_} is made of {len(items)} parts", span)
         for item, part in zip(items, wanted, strict=True):
             self.typed(item, part)
 
@@ -317,22 +325,30 @@ class Expressions:
         span = node.span
         match node:
             case expr.Call(name, args):
-                must(name in self.callees or (name in self.specs and self.place == "property"), f"no {name}", span)
+                require(
+                    name in self.callees or (name in self.specs and self.place == "property"),
+                    f"the function {name} cannot be called here",
+                    span,
+                )
                 known = self.specs.get(name) or self.signatures[name]
                 self.arguments(name, args, known.parameters, span)
                 return known.result
             case expr.ExternCall(name, args):
-                must(name in self.externs, f"no extern function {name}", span)
+                require(name in self.externs, f"the extern function {name} is not declared", span)
                 self.arguments(name, args, self.externs[name].parameters, span)
                 return self.externs[name].result
             case expr.PortCall(module, port, args):
                 found = self.ports.get((module, port))
-                must(found is not None and found.direction == "callable", f"{module}.{port} is not called", span)
-                must(len(args) in (1, 2), f"{len(args)} arguments of a planner", span)
+                require(found is not None and found.direction == "callable", f"{module}.{port} cannot be called", span)
+                require(len(args) in (1, 2), f"a planner has {len(args)} arguments", span)
                 self.typed(args[0], POINT)
                 if len(args) == 2:
                     obstacles = self.type_of(args[1])
-                    must(obstacles in (list_of(GRID), list_of(POINT)), f"obstacles of type {obstacles}", span)
+                    require(
+                        obstacles in (list_of(GRID), list_of(POINT)),
+                        f"the obstacles of a planner have the type {obstacles}",
+                        span,
+                    )
                 return list_of(POINT)
             case _:
                 assert_never(node)
@@ -340,17 +356,17 @@ class Expressions:
     def arguments(
         self, name: str, args: tuple[expr.Expr, ...], parameters: tuple[decl.Parameter, ...], span: Span
     ) -> None:
-        must(len(args) == len(parameters), f"{name} of {len(args)} arguments", span)
+        require(len(args) == len(parameters), f"{name} is called with {len(args)} arguments", span)
         for arg, parameter in zip(args, parameters, strict=True):
             type_ = self.type_of(arg)
-            must(fits(type_, parameter.type), f"a {parameter.type} is wanted, not a {type_}", arg.span)
+            require(fits(type_, parameter.type), f"expected a {parameter.type}, found a {type_}", arg.span)
 
     def builtin(self, name: str, args: tuple[expr.Expr, ...], span: Span) -> Type:
         return builtin_type(name, [self.type_of(arg) for arg in args], span)
 
 
-# By the class of the node: a table, because finding the way is most of the work. A test holds that all expressions are
-# here.
+# Verifier of each class of node. A table, because dispatch takes most of the time. A test ensures that it has all
+# expressions.
 _READERS: dict[type, Callable[[Expressions, Any], Type]] = {
     expr.Const: Expressions.const,
     expr.Pid: Expressions.index,

@@ -1,4 +1,7 @@
-"""What types literals, operators, indices and builtins yield; InternalError where they do not apply."""
+"""Result types of literals, operators, indices and builtins.
+
+Raises InternalError if they do not apply.
+"""
 
 from __future__ import annotations
 
@@ -34,14 +37,14 @@ _FIELDS: dict[str, dict[str, Type]] = {
 }
 
 
-def must(holds: bool, message: str, span: Span) -> None:
-    """Raises InternalError where something does not hold."""
+def require(holds: bool, message: str, span: Span) -> None:
+    """Raise InternalError unless a condition holds."""
     if not holds:
         raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
 
-def must_not(message: str, span: Span) -> Type:
-    """Raises InternalError."""
+def fail(message: str, span: Span) -> Type:
+    """Raise InternalError."""
     raise InternalError(f"IR at {span.line}:{span.column}: {message}")
 
 
@@ -51,7 +54,7 @@ _LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
 def literal_type(value: object, span: Span) -> Type:
     type_ = _LITERALS.get(type(value))
     if type_ is None or (type_ is FLOAT and not isfinite(value)):  # type: ignore[arg-type]
-        return must_not("no literal, or one that is not finite", span)
+        return fail("the value is not a literal, or not finite", span)
     return type_
 
 
@@ -70,7 +73,7 @@ def at_type(type_: Type, span: Span) -> Type:
         case Sequence("List" | "Queue", element) | PerRobot(element):
             return element
         case _:
-            must(type_ == STRING, f"an index of a {type_}", span)
+            require(type_ == STRING, f"a {type_} has no index", span)
             return STRING
 
 
@@ -83,7 +86,7 @@ def binary_type(op: str, left: Type, right: Type, span: Span) -> Type:
         return POINT
     if op == "+" and left == right and (left == STRING or (isinstance(left, Sequence) and left.name == "List")):
         return left
-    return must_not(f"{left} {op} {right}", span)
+    return fail(f"{op} does not apply to {left} and {right}", span)
 
 
 def _word(type_: Type) -> str:
@@ -99,14 +102,14 @@ def _word(type_: Type) -> str:
 
 
 def fits(type_: Type, wanted: Type) -> bool:
-    """Whether an argument is what a parameter takes: one value a robot is also a list of them."""
+    """Return whether an argument's type fits a parameter: an allread variable as a whole fits a list, too."""
     if isinstance(type_, PerRobot) and isinstance(wanted, Sequence):
         return wanted.name == "List" and fits(type_.element, wanted.element)
     return type_ == wanted
 
 
 def builtin_type(name: str, types: list[Type], span: Span) -> Type:
-    """What a builtin, a method or an update yields for arguments of these types."""
+    """Return the result type of a builtin, a method or an update for arguments of these types."""
     signatures = FUNCTIONS.get(name) or UPDATE_SIGNATURES.get(name)
     if signatures is None:
         method = METHODS.get((_word(types[0]), name)) if types else None
@@ -115,11 +118,11 @@ def builtin_type(name: str, types: list[Type], span: Span) -> Type:
         result = _result(signature, types)
         if result is not None:
             return result
-    return must_not(f"no builtin {name} of {', '.join(map(str, types)) or 'nothing'}", span)
+    return fail(f"no builtin {name} takes ({', '.join(map(str, types))})", span)
 
 
 def _result(signature: Signature, types: list[Type]) -> Type | None:
-    """What a builtin of this signature yields for such arguments; None when it does not take them."""
+    """Return a signature's result type for arguments of these types; None if they do not match."""
     bound: dict[Type, Type] = {S: types[0]} if types else {}
     if len(types) != len(signature.args):
         return None
@@ -129,7 +132,7 @@ def _result(signature: Signature, types: list[Type]) -> Type | None:
 
 
 def _unified(wanted: Type, type_: Type, bound: dict[Type, Type]) -> bool:
-    """Whether a type is of a form; what its variables stand for goes into `bound`."""
+    """Return whether a type matches a pattern. Adds the types of the pattern's variables to `bound`."""
     match wanted, type_:
         case Sequence("List", element), PerRobot(found):
             return _unified(element, found, bound)

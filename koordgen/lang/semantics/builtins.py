@@ -1,7 +1,7 @@
-"""What each builtin means, method and update of a value: koordgen/lang/ir/builtins.py, executed.
+"""Semantics of builtins, methods and updates of values: of all names in koordgen/lang/ir/builtins.py.
 
-Written out here, apart from the robots' own library, which is compared with it; only geometry and GridMaps are shared.
-All raise ValueError or ArithmeticError where there is no value; the event is then discarded.
+Independent of the robots' library, so that tests can compare the two; only geometry and GridMaps are shared code. All
+functions raise ValueError or ArithmeticError if there is no value; the event is then discarded.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _key = itemgetter(0)
 
 
 def element(xs: Any, i: int) -> Any:
-    """`xs[i]` of a list, queue or string."""
+    """Return `xs[i]` of a list, queue or string."""
     if not 0 <= i < len(xs):
         raise ValueError(f"index {shown(i)} is not below the length {len(xs)}" if i >= 0 else f"index {shown(i)}")
     return xs[i]
 
 
 def part(xs: Any, start: int | None, stop: int | None) -> Any:
-    """`xs[start:stop]` of a list or string."""
+    """Return `xs[start:stop]` of a list or string."""
     low = 0 if start is None else start
     high = len(xs) if stop is None else stop
     if low < 0 or high < 0:
@@ -40,13 +40,13 @@ def part(xs: Any, start: int | None, stop: int | None) -> Any:
 
 
 def comparable(*values: Any) -> None:
-    """Raise NotANumber where a value that is about to be compared has NaN in it."""
+    """Raise NotANumber if one of the values contains NaN, and so cannot be compared."""
     if any(map(has_nan, values)):
         raise NotANumber
 
 
 def contains(xs: Any, item: Any) -> bool:
-    """`item in xs` of a list, queue, set, a map's keys or string; whether a Point is in a region. Raises NotANumber."""
+    """Return `item in xs`, of a list, queue, set, string, region, or a map's keys. Raises NotANumber."""
     comparable(xs, item)
     if isinstance(xs, Rect):
         pairs = ((item.x, xs.a.x, xs.b.x), (item.y, xs.a.y, xs.b.y), (item.z, xs.a.z, xs.b.z))
@@ -54,7 +54,7 @@ def contains(xs: Any, item: Any) -> bool:
     if isinstance(xs, Ball):
         measured = exact.distance if exact.is_exact(item, xs.center) else distance
         apart = measured(item, xs.center)
-        comparable(apart)  # of two points at infinity
+        comparable(apart)  # NaN for two points at infinity
         return bool(apart <= xs.radius)
     if isinstance(xs, str):
         return item in xs
@@ -62,13 +62,16 @@ def contains(xs: Any, item: Any) -> bool:
 
 
 def set_of(values: List) -> List:
-    """The set of these values: ascending, each once."""
+    """Return the set of these values: ascending, each once."""
     ordered = sorted(values)
     return tuple([value for i, value in enumerate(ordered) if i == 0 or ordered[i - 1] < value])
 
 
 def map_of(pairs: List) -> List:
-    """The map of these pairs: keys ascending; of several with one key the last counts."""
+    """Return the map of these pairs, with ascending keys.
+
+    If a key occurs several times, the last pair counts.
+    """
     found: List = ()
     for key, value in pairs:
         found = _map_with(found, key, value)
@@ -76,7 +79,7 @@ def map_of(pairs: List) -> List:
 
 
 def shown(value: int) -> str:
-    """A number for a message, however long."""
+    """Return an int as text for a message, with a phrase in place of a very long one."""
     return str(value) if abs(value) < 2**64 else "an int beyond 64 bits"
 
 
@@ -125,7 +128,7 @@ def _map_with(m: List, key: Any, value: Any) -> List:
 
 
 def has_key(m: Any, key: Any) -> bool:
-    """`key in m` of a map, whose keys have one exact order."""
+    """Return `key in m` of a map, by binary search."""
     place = bisect_left(m, key, key=_key)
     return place < len(m) and bool(m[place][0] == key)
 
@@ -157,7 +160,7 @@ def _greatest(a: Any, b: Any) -> Any:
 
 
 def _sum(xs: List, zero: Any) -> Any:
-    """From left to right, rounded at each step."""
+    """Add from left to right, rounding at each step."""
     total = zero
     for x in xs:
         total = total + x
@@ -171,7 +174,7 @@ def _text(value: Any) -> str:
 
 
 def applied(name: str, args: list[Value], zero: Value) -> Value:
-    """A builtin of evaluated arguments; `zero` is the default of the type of what it yields."""
+    """Return the result of a builtin for evaluated arguments. `zero` is the default of the result's type."""
     if name in exact.ROUNDING and exact.is_exact(*args):
         return exact.applied(name, args)  # type: ignore[no-any-return]
     value: Value = _sum(items(args[0]), zero) if name == "sum" else MEANINGS[name](*args)
@@ -236,14 +239,14 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "map_without": lambda m, key: _without(m, _where([own for own, _ in m], key)),  # type: ignore[arg-type]
 }
 MEANINGS = {**_PLAIN, **_CONTAINERS}
-# These make a new list, set, map or queue, which costs turns.
+# Builtins that make a new list, set, map or queue, which costs turns.
 MAKING = frozenset(
     ("sorted", "reversed", "updated", "appended", "extended", "inserted", "removed", "without", "popped", "union",
      "intersection", "difference", "set_with", "set_without", "keys", "values", "map_with", "map_without")
 )  # fmt: skip
-# These compare their arguments or parts of them, one after the other: NaN in one discards the event.
+# Builtins that compare their arguments or parts of them: NaN in one discards the event.
 COMPARING = frozenset(("min", "max", "sorted", "index", "count", "removed", "Rect", "Ball"))
-# These go through their arguments, which costs turns; so do those that compare them.
+# Builtins that read all elements of their arguments, which costs turns; those in COMPARING do so, too.
 SEARCHING = frozenset(("sum", "union", "intersection", "difference"))
-# These make a new GridMap, which costs turns.
+# Builtins that make a new GridMap, which costs turns.
 MAPPING = frozenset(("GridMap", "mark_free", "mark_occupied"))

@@ -1,9 +1,9 @@
-"""Deadlines of runs: when the semantics gives up the program that it runs, however long one event of it turns.
+"""Deadlines of runs: a limit of time after which the semantics stops a program, even within an event.
 
     with ends(Deadline(time.monotonic, time.monotonic() + 0.25)):
         execute(program, block, state, pid)  # raises OutOfTime
 
-Every turn that an event takes looks at the clock. Without a deadline only the number of turns is limited.
+Each turn of an event checks the clock. Without a deadline only the number of turns is limited.
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ from typing import NamedTuple
 
 
 class OutOfTime(BaseException):
-    """The run of a program has passed its deadline: it has no result. No `except Exception` of an extern function or of
-    an event's faults catches it."""
+    """The run of a program has passed its deadline and has no result.
+
+    A BaseException, so that no `except Exception` of an extern function or of the evaluator catches it.
+    """
 
 
 class Deadline(NamedTuple):
-    """When a run ends without a result: at the time `until` of `clock`, seconds."""
+    """Deadline of a run: the time `until` of `clock`, in seconds."""
 
     clock: Callable[[], float]
     until: float
 
     def look(self) -> None:
-        """Raise OutOfTime when it has passed."""
+        """Raise OutOfTime if the deadline has passed."""
         if self.clock() > self.until:
             raise OutOfTime("the time for this run is over")
 
@@ -35,13 +37,13 @@ _present: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
 def present() -> Deadline | None:
-    """Return the deadline of what runs here, if it has one."""
+    """Return the deadline of the current run, or None."""
     return _present.get()
 
 
 @contextmanager
 def ends(deadline: Deadline) -> Iterator[None]:
-    """Give what runs in the block a deadline."""
+    """Set a deadline for runs within the `with` block."""
     token = _present.set(deadline)
     try:
         yield

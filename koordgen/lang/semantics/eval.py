@@ -1,10 +1,10 @@
-"""What an expression means: pure, over what one robot sees at one moment.
+"""Semantics of expressions: pure evaluation over the state that one robot sees.
 
 Numbers are Python's: ints without bound inside an event, floats of 64 bits, `/` a true quotient (of two ints as well),
-`//` and `%` floored with the divisor's sign. What has no value (a division by zero, an index out of range, a key that
-is not there, an int too large for a float) discards the event. NaN and infinity may arise, but a comparison that meets
-NaN discards the event, and so does either where it would be kept or sent. Where the checker has proved that a node
-cannot fail and it does, that is a mistake of the compiler.
+`//` and `%` floored with the divisor's sign. An operation without a value (a division by zero, an index out of range, a
+missing key, an int too large for a float) discards the event. NaN and infinity may arise within an event; a comparison
+with NaN discards the event, and so does NaN or infinity in a value that is stored or sent. If a node fails although the
+analysis has proved that it cannot, this is an InternalError of the compiler.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ T = TypeVar("T", bound=HasLength)
 
 
 class Discarded(Exception):
-    """Why an event is discarded whole, and where."""
+    """An event is discarded as a whole, for `reason`, at `span`."""
 
     def __init__(self, reason: str, span: Span) -> None:
         super().__init__(f"line {span.line}: {reason}")
@@ -42,16 +42,19 @@ class Discarded(Exception):
 
 Call = Callable[[str, tuple[Value, ...]], Value]
 Spend = Callable[[int, Span], None]
-MAX_ELEMENTS = 100_000  # of what an event makes: elements of a list, set, map or queue, characters of a text
-ELEMENTS_A_TURN = 100  # that many of them cost a turn
-PAIRS_A_TURN = 10  # of points of two paths
-MOST_COUNTED = 100_000_000  # elements, for which no event has the turns
+MAX_ELEMENTS = 100_000  # elements of a list, set, map or queue, or characters of a string, that an event may make
+ELEMENTS_A_TURN = 100  # elements for the cost of one turn
+PAIRS_A_TURN = 10  # pairs of points of two paths for the cost of one turn
+MOST_COUNTED = 100_000_000  # counting stops at this many elements, which cost more turns than any event has
 
 
 class View(NamedTuple):
-    """What one robot sees: `slots` by allread name and pid, `cells` by allwrite name, `ports` by "Module.port". `call`
-    applies functions, `ask` callable ports. `after` are a robot's primed ports in an assumption; `robots` is the whole
-    fleet in a property. `spend` takes turns of the event's budget."""
+    """State that one robot sees while an expression is evaluated.
+
+    `slots` has allread variables by name and pid, `cells` allwrite variables by name, `ports` sensors and actuators by
+    "Module.port". `call` calls functions, `ask` callable ports. `after` has a robot's primed ports in an assumption;
+    `robots` is the whole fleet in a property. `spend` takes turns from the event's budget.
+    """
 
     pid: int
     n_sys: int
@@ -69,12 +72,12 @@ class View(NamedTuple):
 
 
 def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spend: Spend) -> View:
-    """What stands open everywhere: params, the fleet's size, functions."""
+    """Return a view without a robot: params, the fleet's size, functions."""
     return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
 
 
-def made(value: T, view: View, span: Span) -> T:
-    """Return a new list, set, map, queue or text, for the turns that it costs. Raises Discarded."""
+def charged_for_making(value: T, view: View, span: Span) -> T:
+    """Return a new list, set, map, queue or string, and spend the turns that it costs. Raises Discarded."""
     size = len(value)
     if size > MAX_ELEMENTS:
         raise Discarded(f"{size} elements or characters, where an event makes at most {MAX_ELEMENTS}", span)
@@ -83,11 +86,14 @@ def made(value: T, view: View, span: Span) -> T:
     return value
 
 
-def looked(node: ir.Expr, value: Value, view: View) -> Value:
-    """Return the value of a node, which is gone through, for the turns that it costs. Raises Discarded."""
+def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
+    """Return a value all of whose elements are read, and spend the turns that this costs.
+
+    Raises Discarded.
+    """
     one = node.type.element if isinstance(node.type, PerRobot) else node.type
     if isinstance(one, (Scalar, Extern)) or isinstance(node, ir.Ids):
-        return value  # a number, or one for each robot
+        return value  # reading a scalar, or one for each robot, costs no turns
     turns = elements_in(value, MOST_COUNTED) // ELEMENTS_A_TURN
     if turns:
         view.spend(turns, node.span)
@@ -95,9 +101,11 @@ def looked(node: ir.Expr, value: Value, view: View) -> Value:
 
 
 def operand(node: ir.Expr, view: View) -> Value:
-    """Return the value of an operand of a comparison or a search, for the turns that it costs. Raises Discarded, also
-    where there is NaN in it."""
-    value = looked(node, evaluate(node, view), view)
+    """Evaluate an operand of a comparison or a search, and spend the turns that reading it costs.
+
+    Raises Discarded, also if the operand contains NaN.
+    """
+    value = charged_for_reading(node, evaluate(node, view), view)
     try:
         builtins.comparable(value)
     except ArithmeticError as error:
@@ -106,27 +114,30 @@ def operand(node: ir.Expr, view: View) -> Value:
 
 
 def evaluate(node: ir.Expr, view: View) -> Value:
-    """The value of a checked expression. Raises Discarded; InternalError where what was proved does not hold."""
+    """Return the value of a checked expression. Raises Discarded, or InternalError if a proved node fails."""
     return MEANINGS[type(node)](node, view)
 
 
 def holds(node: ir.Expr, view: View) -> bool:
-    """The value of a condition. Raises Discarded."""
+    """Return the value of a condition. Raises Discarded."""
     return as_(bool, evaluate(node, view))
 
 
 def elements(node: ir.Expr, view: View) -> Iterator[Value]:
-    """What a loop or a quantifier runs over: the value as it is at the start."""
+    """Return the elements of the domain of a loop or quantifier, as it is when the loop begins."""
     if isinstance(node, ir.Range):
         return _steps(_number(node.start, view), _number(node.stop, view), node.step)
     values = items(evaluate(node, view))
     if isinstance(node.type, MapOf):
-        values = made(tuple([pair[0] for pair in values]), view, node.span)
+        values = charged_for_making(tuple([pair[0] for pair in values]), view, node.span)
     return iter(values)
 
 
 def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
-    """Return the values of a loop over a range or `ID`, and these numbers without an end; None for other loops."""
+    """Return the values of a loop over a range or `ID`, and the same sequence without an end.
+
+    Returns None for other loops.
+    """
     match node:
         case ir.Range(start, stop, step):
             first = _number(start, view)
@@ -165,7 +176,7 @@ def _binary(node: ir.Binary, view: View) -> Value:
     first, second = evaluate(node.left, view), evaluate(node.right, view)
     try:
         value = arithmetic(node.op, first, second)
-        return made(value, view, node.span) if isinstance(value, (str, tuple)) else value
+        return charged_for_making(value, view, node.span) if isinstance(value, (str, tuple)) else value
     except (ArithmeticError, ValueError) as error:
         checked = node.op != "**" and isinstance(error, ZeroDivisionError)
         reason = "division by zero" if checked and is_exact(first, second) else str(error)
@@ -181,7 +192,7 @@ def _contains(node: ir.Contains, view: View) -> Value:
 
 
 def _compare(node: ir.Compare, view: View) -> Value:
-    value = evaluate if node.left.type == STRING else operand  # texts are compared as fast as a turn goes
+    value = evaluate if node.left.type == STRING else operand  # comparing strings costs no more than a turn
     left, right = value(node.left, view), value(node.right, view)
     return _guarded(node, lambda: compared(node.op, left, right))
 
@@ -206,7 +217,7 @@ def _quantified(node: ir.Quantified, view: View) -> Value:
 
 
 def _range(node: ir.Range, view: View) -> Value:
-    raise InternalError("a range is no value")
+    raise InternalError("a range is not a value")
 
 
 def _field(node: ir.Field, view: View) -> Value:
@@ -225,7 +236,7 @@ def _slice(node: ir.Slice, view: View) -> Value:
     xs = evaluate(node.operand, view)
     low, high = (None if bound is None else _number(bound, view) for bound in (node.start, node.stop))
     part = _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
-    return made(part, view, node.span)  # type: ignore[type-var]
+    return charged_for_making(part, view, node.span)  # type: ignore[type-var]
 
 
 def _with(node: ir.With, view: View) -> Value:
@@ -245,19 +256,19 @@ def _builtin(node: ir.Builtin, view: View) -> Value:
     if node.name == "merge":
         view.spend(elements_in(value, MOST_COUNTED), node.span)
     if node.name in builtins.MAPPING:
-        looked(node, value, view)
-    return made(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
+        charged_for_reading(node, value, view)
+    return charged_for_making(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
 
 
 def _argument(name: str, arg: ir.Expr, view: View) -> Value:
     if name in builtins.COMPARING:
         return operand(arg, view)
     value = evaluate(arg, view)
-    return looked(arg, value, view) if name in builtins.SEARCHING else value
+    return charged_for_reading(arg, value, view) if name in builtins.SEARCHING else value
 
 
 def _pairs(name: str, values: Sequence[Value]) -> int:
-    """Count the pairs of points of paths; each path has one more, so that an empty one counts too."""
+    """Count the pairs of points of two paths. One is added for each path, so that empty paths count, too."""
     others = [values[1]] if name == "path_distance" else items(values[1])
     return (len(items(values[0])) + 1) * sum([len(items(other)) + 1 for other in others])
 
@@ -274,12 +285,15 @@ def _asked(node: ir.PortCall, view: View) -> Value:
     except Exception as error:
         raise Discarded(f"{port} failed: {error}", node.span) from None
     if not conforms(answer, node.type) or number_flaw(answer):
-        raise Discarded(f"{port} answered {answer!r}, which is no {node.type}", node.span)
+        raise Discarded(f"{port} answered {answer!r}, which is not of type {node.type}", node.span)
     return answer
 
 
 def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
-    """A value that need not exist: Discarded at this node then."""
+    """Return the result of `compute`.
+
+    If it has none, raise Discarded at this node, or InternalError if `proved`.
+    """
     try:
         return compute()
     except (ArithmeticError, ValueError) as error:
@@ -304,7 +318,7 @@ def _robot(node: ir.Expr, view: View) -> Robot:
 
 
 def _place(operand: ir.Expr, name: str) -> int:
-    """Where a field of a record stands, or an item of a tuple, which is named by its index."""
+    """Return the position of a record's field, or of a tuple's item, whose name is its index."""
     type_ = operand.type
     if isinstance(type_, TupleOf):
         return int(name)
@@ -336,8 +350,8 @@ def _made(node: ir.Make, view: View) -> Value:
             raise InternalError(f"a {node.type} is not made of parts")
 
 
-# One look at a node's class finds what it means: `match` asks for one class after the other, of which there are many,
-# and replaying a mission evaluates millions of nodes.
+# Dispatch by class in one look-up. A `match` would test one class after the other, and replaying a mission evaluates
+# millions of nodes.
 MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
     ir.Const: lambda node, view: node.value,
     ir.Pid: lambda node, view: view.pid,

@@ -1,8 +1,7 @@
-"""Programs over exact numbers: every float of a program becomes the Fraction that it is, and nothing is rounded after.
+"""Programs over exact numbers: each float becomes a Fraction of the same value; nothing is rounded.
 
-A prover reasons about real numbers. That its counterexamples are none of rounding is seen by running them so. The
-evaluator itself does not change: numbers are what they are, and a program that is made exact holds only Fractions where
-it held floats.
+A prover reasons about real numbers. Running its counterexamples on exact numbers shows that they do not depend on
+rounding. The evaluator itself does not change: a program that is made exact has Fractions in place of floats.
 """
 
 from __future__ import annotations
@@ -20,18 +19,21 @@ from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Grid, Point, Pose
 
-MAX_BITS = 1 << 16  # of a numerator or denominator
+MAX_BITS = 1 << 16  # limit of a numerator or denominator
 _TOO_LONG = f"a number of more than {MAX_BITS} bits"
 N = TypeVar("N")
 
 
 class NotExact(Exception):
-    """What is asked for is no rational number, and more is done with it than to compare it."""
+    """An operation has no exact result: it would need an irrational number, or too many bits."""
 
 
 @total_ordering
 class Root:
-    """The square root of a rational number that has no rational one: it can be compared, with nothing rounded."""
+    """An irrational square root of a rational number.
+
+    It can be compared exactly; other operations raise NotExact.
+    """
 
     def __init__(self, square: Fraction) -> None:
         self.square = square
@@ -61,7 +63,7 @@ Exact = Fraction | Root
 
 
 def root(square: Fraction | int) -> Exact:
-    """The square root, as a Fraction where it is one. ValueError below zero."""
+    """Return the square root, as a Fraction if it is rational. Raises ValueError below zero."""
     exact = Fraction(square)
     if exact < 0:
         raise ValueError("math domain error")
@@ -72,13 +74,13 @@ def root(square: Fraction | int) -> Exact:
 
 
 def distance(p: Point, q: Point) -> Exact:
-    """The distance of two Points of exact coordinates, in metres."""
+    """Return the distance of two Points with exact coordinates, in metres."""
     gaps: list[Any] = [p.x - q.x, p.y - q.y, p.z - q.z]
     return root(sum((Fraction(gap * gap) for gap in gaps), Fraction(0)))
 
 
 def power(base: Any, exponent: Any) -> Fraction:
-    """A power whose exponent is whole. Raises NotExact, ZeroDivisionError."""
+    """Return a power with an integral exponent. Raises NotExact, ZeroDivisionError."""
     if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
         raise NotExact("a power that is no rational number")
     if abs(exponent) * (_bits(Fraction(base)) - 1) > MAX_BITS:
@@ -87,7 +89,7 @@ def power(base: Any, exponent: Any) -> Fraction:
 
 
 def within_exact(number: N) -> N:
-    """Return an exact number. Raises NotExact where it has more bits than anything is computed with."""
+    """Return an exact number unchanged. Raises NotExact if it has more than MAX_BITS."""
     if isinstance(number, Fraction) and _bits(number) > MAX_BITS:
         raise NotExact(_TOO_LONG)
     return number
@@ -98,7 +100,10 @@ def _bits(number: Fraction) -> int:
 
 
 def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
-    """The least distance of two paths of exact coordinates, in metres; infinite when one has no points."""
+    """Return the least distance of two paths with exact coordinates, in metres.
+
+    The distance is infinite if one path has no points.
+    """
     if not a or not b:
         return math.inf
     return root(min(_squared(p, q, r, s) for p, q in _segments(a) for r, s in _segments(b)))
@@ -109,8 +114,11 @@ def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
 
 
 def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
-    """Of the segments pq and rs: the squared distance of p + x (q - p) and r + y (s - r) is convex in x and y; its
-    least value on the unit square is at one end of a segment, or where both derivatives are zero."""
+    """Return the squared distance of the segments pq and rs.
+
+    The squared distance of p + x (q - p) and r + y (s - r) is convex in x and y. Its least value on the unit square is
+    at one end of a segment, or where both derivatives are zero.
+    """
     if p == q or r == s:
         return _beyond(p, r, s) if p == q else _beyond(r, p, q)
     d, e, w = _minus(q, p), _minus(s, r), _minus(p, r)
@@ -126,7 +134,7 @@ def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
 
 
 def _beyond(x: Point, p: Point, q: Point) -> Fraction:
-    """The squared distance of a point from the segment pq."""
+    """Return the squared distance of a point from the segment pq."""
     w = _minus(x, p)
     if p == q:
         return _dot(w, w)
@@ -145,7 +153,7 @@ def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-# Builtins whose floats would be rounded.
+# Builtins that round floats.
 ROUNDING = frozenset(
     ("distance", "sqrt", "path_distance", "clear", "sum", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp",
      "log", "GridMap", "center", "cell", "is_free", "is_occupied", "is_known", "mark_free", "mark_occupied")
@@ -153,8 +161,10 @@ ROUNDING = frozenset(
 
 
 def applied(name: str, args: list[Any]) -> Any:
-    """One of these builtins, of arguments some of which are exact. Raises NotExact where the result is no rational
-    number, nor a root of one."""
+    """Return the result of a builtin in ROUNDING for arguments some of which are exact.
+
+    Raises NotExact if the result is neither a rational number nor the square root of one.
+    """
     match name, args:
         case "distance", [p, q]:
             return distance(p, q)
@@ -174,7 +184,7 @@ _INEXACT = frozenset((int, float, bool, str))
 
 
 def is_exact(*values: object) -> bool:
-    """Whether some of these values, or of their parts, are exact numbers."""
+    """Return whether one of the values is, or contains, an exact number."""
     for value in values:
         if type(value) in _INEXACT:
             continue
@@ -186,7 +196,7 @@ def is_exact(*values: object) -> bool:
 
 
 def made_exact(value: Any) -> Any:
-    """A value of the language with all its floats exact."""
+    """Return a value of the language with all floats made exact."""
     if isinstance(value, float):
         return Fraction(value)
     if isinstance(value, Point):
@@ -203,9 +213,9 @@ def made_exact(value: Any) -> Any:
 
 
 def exact(program: decl.Program) -> decl.Program:
-    """The program over exact numbers.
+    """Return the program over exact numbers.
 
-    before: x := 1 / 4      after: x := (0 + 1) / 4, that 0 being a Fraction
+    before: x := 1 / 4      after: x := (0 + 1) / 4, where 0 is a Fraction
     """
     made = transform(program, _exact)
     assert isinstance(made, decl.Program)
@@ -213,7 +223,7 @@ def exact(program: decl.Program) -> decl.Program:
 
 
 def _exact(node: Node) -> Node:
-    """One node over exact numbers, whose children are over exact numbers."""
+    """Make a node exact whose children are exact already."""
     match node:
         case expr.Const(value, type_, span) if isinstance(value, float):
             return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
@@ -228,7 +238,7 @@ def _exact(node: Node) -> Node:
 
 
 def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
-    """The sum of no numbers is an exact zero, too."""
+    """Return a sum that is an exact zero for an empty list, too."""
     some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
     return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
 

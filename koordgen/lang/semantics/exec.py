@@ -1,4 +1,4 @@
-"""What statements and functions mean: one run of one effect, on copies that only it sees."""
+"""Semantics of statements and functions: one run of an effect, on private copies of the state."""
 
 from __future__ import annotations
 
@@ -11,19 +11,32 @@ from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import Type
 from koordgen.lang.semantics.deadline import present
-from koordgen.lang.semantics.eval import Call, Discarded, View, counting, elements, evaluate, holds, made, view_of
+from koordgen.lang.semantics.eval import (
+    Call,
+    Discarded,
+    View,
+    charged_for_making,
+    counting,
+    elements,
+    evaluate,
+    holds,
+    view_of,
+)
 from koordgen.lang.semantics.state import World
 from koordgen.lang.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.lang.source import Span
 
-MAX_TURNS = 1_000_000  # of one event; a robot's round is over before
+MAX_TURNS = 1_000_000  # turns of one event; a robot's round ends earlier
 UNFINISHED = "it is not finished by the end of the round"
 
 
 class Writes(NamedTuple):
-    """What an event did: all its robot's locals afterwards; own slots, cells and actuators only where written; the
-    lines that it put out, as ("Module.port", line), in order; where the loop invariants stand that were false or had no
-    value, those of the functions that it called included, each once."""
+    """Result of an event.
+
+    `locals` has all of the robot's locals; `slots` (its own), `cells` and `ports` (actuators) only those written.
+    `streams` has the lines written to streams, as ("Module.port", line), in order. `violated` has the spans of loop
+    invariants that were false or had no value, each once, with those of the functions that the event called.
+    """
 
     locals: Mapping[str, Value]
     slots: Mapping[str, Value]
@@ -35,9 +48,13 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """One event, its functions included: the turns that are `left` to it, of `turns` or MAX_TURNS (a turn of a loop and
-    a call of a function cost one), and the loop invariants that were false or had no value, by where they stand. Where
-    there is a deadline, the event is given up when it has passed (OutOfTime)."""
+    """Budget of turns of one event and the functions that it calls.
+
+    `left` is the number of turns that remain, at first `turns` or MAX_TURNS.
+
+    An iteration of a loop and a call of a function cost one turn. `violated` has the spans of loop invariants that were
+    false or had no value. If a deadline is set, spending turns after it raises OutOfTime.
+    """
 
     def __init__(self, turns: int | None = None) -> None:
         self.left = MAX_TURNS if turns is None else turns
@@ -45,7 +62,7 @@ class Budget:
         self.deadline = present()
 
     def spend(self, turns: int, span: Span) -> None:
-        """Take so many turns. Raises Discarded, OutOfTime."""
+        """Spend a number of turns. Raises Discarded, OutOfTime."""
         self.left -= turns
         if self.left < 0:
             raise Discarded(UNFINISHED, span)
@@ -56,8 +73,11 @@ class Budget:
 def library(
     program: decl.Program, n_sys: int, params: Mapping[str, Value], world: World, budget: Budget, ask: Call
 ) -> View:
-    """The view of a program's functions, which is a part of every other: nothing of a robot, but its callable ports in
-    an assumption. `fun`s run, extern functions are called under their contracts."""
+    """Return the view of a program's functions, on which all other views are based.
+
+    It has no robot's state. `ask` serves its callable ports, in an assumption. A `fun` is run; an extern function is
+    called and its contract is checked.
+    """
     functions = {f.name: f for f in program.functions}
     externs = {f.name: f for f in program.externs}
 
@@ -76,7 +96,7 @@ def library(
 
 
 class NoMeaning(Exception):
-    """A `spec fun` was to be executed, and nothing says what it is."""
+    """A `spec fun` has no implementation, so it cannot be executed."""
 
 
 def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
@@ -86,7 +106,7 @@ def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
 
 
 def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, world: World) -> Value:
-    """Raises ValueError where the function fails or its contract does not hold."""
+    """Call an extern function. Raises ValueError if it fails or violates its contract."""
     name = function.name
     view = view._replace(temps={p.name: arg for p, arg in zip(function.parameters, args, strict=True)})
     for formula in function.requires:
@@ -97,11 +117,11 @@ def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, 
     except Exception as error:
         raise ValueError(f"{name} failed: {error!r}") from None
     if not conforms(result, function.result):
-        raise ValueError(f"{name} returned {result!r}, which is no {function.result}")
+        raise ValueError(f"{name} returned {result!r}, which is not of type {function.result}")
     view = view._replace(temps={**view.temps, "result": result})
     for formula in function.ensures:
         if not holds(formula, view):
-            raise ValueError(f"{name} returned {result!r}, which it ensures not to")
+            raise ValueError(f"{name} returned {result!r}, which violates its ensures")
     return result
 
 
@@ -109,7 +129,7 @@ Exit = Literal["break", "continue", "return", "stop"] | None
 
 
 class Run:
-    """One run of one block: copies that it reads back."""
+    """One run of a block, on private copies of the state that a view has."""
 
     def __init__(self, program: decl.Program, view: View, budget: Budget) -> None:
         self.program = program
@@ -123,17 +143,17 @@ class Run:
         self.view = view._replace(
             locals=self.locals, temps=self.temps, slots=self.slots, cells=self.cells, ports=self.ports
         )
-        self.written: dict[tuple[str, str], Span] = {}  # (what kind, name) -> the last statement that wrote it
+        self.written: dict[tuple[str, str], Span] = {}  # (kind, name) -> span of the last statement that wrote it
         self.returned: Value | None = None
 
     def result(self, function: decl.Function) -> Value:
-        """What a function yields."""
+        """Run a function and return its result."""
         if self.block(function.block) != "return" or self.returned is None:
             raise InternalError(f"{function.name} ended without a result")
         return self.returned
 
     def block(self, block: stmt.Block) -> Exit:
-        """Runs statements in order; how the block was left, None at its end. Raises Discarded."""
+        """Run statements in order. Returns how the block was left, None at its end. Raises Discarded."""
         for statement in block:
             left = self.statement(statement)
             if left is not None:
@@ -151,7 +171,9 @@ class Run:
             case stmt.For() | stmt.While():
                 return self.loop(statement)
             case stmt.Emit(module, port, parts, span):
-                line = made("".join([as_(str, evaluate(part, self.view)) for part in parts]), self.view, span)
+                line = charged_for_making(
+                    "".join([as_(str, evaluate(part, self.view)) for part in parts]), self.view, span
+                )
                 self.streams.append((f"{module}.{port}", line))
                 self.written["stream", f"{module}.{port}"] = span
             case stmt.Return(value):
@@ -177,13 +199,13 @@ class Run:
     def turns(self, loop: stmt.For | stmt.While, values: Iterator[Value]) -> Exit:
         while True:
             value = next(values, None)
-            if value is not None and isinstance(loop, stmt.For):  # as on robots, before its invariants are evaluated
+            if value is not None and isinstance(loop, stmt.For):  # before its invariants are evaluated, as on robots
                 self.budget.spend(1, loop.span)
-            self.judge(loop.invariants)
+            self.check_invariants(loop.invariants)
             if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
                 return None
             if isinstance(loop, stmt.For):
-                self.take(loop.names, value)
+                self.bind_element(loop.names, value)
             else:
                 self.budget.spend(1, loop.span)
             left = self.block(loop.block)
@@ -193,16 +215,22 @@ class Run:
                 return left
 
     def counted(self, values: Iterator[Value], count: Iterator[int], names: tuple[str, ...]) -> Iterator[Value]:
-        """The values of a loop that counts: at its head its variable is the next one, at last the first not taken."""
+        """Yield the values of a counting loop.
+
+        Sets its variable before each; at the end, to the first unused value.
+        """
         for following in count:
             value = next(values, None)
-            self.take(names, following)
+            self.bind_element(names, following)
             if value is None:
                 return
             yield value
 
-    def judge(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
-        """Note those that are false or have no value. Raises Discarded where they use up the turns of the event."""
+    def check_invariants(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
+        """Record invariants that are false or have no value.
+
+        Raises Discarded if they use up the event's turns.
+        """
         for invariant in invariants:
             try:
                 held = holds(invariant.formula, self.view)
@@ -213,8 +241,8 @@ class Run:
             if not held:
                 self.budget.violated[invariant.span] = None
 
-    def take(self, names: tuple[str, ...], value: Value) -> None:
-        """One element into the names of a loop."""
+    def bind_element(self, names: tuple[str, ...], value: Value) -> None:
+        """Assign an element to the variables of a loop."""
         parts = (value,) if len(names) == 1 else items(value)
         self.temps.update(zip(names, parts, strict=True))
 
@@ -238,9 +266,11 @@ class Run:
                 assert_never(place)
 
     def writes(self, stopped: bool) -> Writes | Discarded:
-        """Return what counts at the event's end; a last value that its variable may not keep discards all of it. Of
-        several such, the one whose variable is declared first is told, as robots do: locals, shared variables,
-        actuators."""
+        """Return the event's writes, or Discarded if a variable cannot store its last value.
+
+        Of several such variables the first one is reported, as on robots: locals in the order of declaration, then
+        shared variables, then actuators.
+        """
         types = declared(self.program)
         order = {name: place for place, name in enumerate(types)}
         written = sorted(self.written.items(), key=lambda item: (item[0][0] == "stream", order[item[0][1]]))
@@ -262,7 +292,7 @@ class Run:
 
 
 def declared(program: decl.Program) -> dict[str, Type]:
-    """The types of all that an event may write, with their capacities."""
+    """Return the types, with capacities, of all variables and ports that an event may write."""
     types = {v.name: v.type for v in program.locals}
     types.update({v.name: v.type for v in program.shared})
     types.update({f"{m.name}.{p.name}": p.type for m in program.modules for p in m.ports})
@@ -270,7 +300,7 @@ def declared(program: decl.Program) -> dict[str, Type]:
 
 
 def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) -> Writes | Discarded:
-    """An effect of one robot on what it sees: its writes, or why none of them counts."""
+    """Run an effect on a robot's view. Returns its writes, or why they are discarded."""
     working = Run(program, view, budget)
     try:
         left = working.block(block)
@@ -280,8 +310,11 @@ def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) ->
 
 
 def constant(node: ir.Expr, view: View, type_: Type) -> Value:
-    """A first value, which the checker has seen to be one of the type."""
+    """Return an initial value.
+
+    Raises InternalError if it is not of the type, which the checker has ensured.
+    """
     value = evaluate(node, view)
     if not conforms(value, type_):
-        raise InternalError(f"line {node.span.line}: {value!r} is no {type_}")
+        raise InternalError(f"line {node.span.line}: {value!r} is not of type {type_}")
     return value

@@ -1,4 +1,4 @@
-"""Operators on numbers, Points, texts and lists, as their values are at run time."""
+"""Semantics of operators on numbers, Points, strings and lists."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ from koordgen.runtime.values.points import NotANumber, Point
 T = TypeVar("T")
 
 MAX_EXPONENT = 1024
-MAX_BITS = 4096  # of an int
-SMALL_BITS = 64  # ints of at most so many may be added to any
+MAX_BITS = 4096  # limit of an int
+SMALL_BITS = 64  # an int of at most so many bits may be added to any int
 
 
 def as_real(value: Value) -> int | float:
-    """An int, a float, or what stands for a float where nothing is rounded."""
+    """Return a value that must be an int, a float, or an exact number in place of a float."""
     if not isinstance(value, (int, float)) and not is_exact(value):
-        raise InternalError(f"{value!r} is no number")
+        raise InternalError(f"{value!r} is not a number")
     return value  # type: ignore[return-value]
 
 
 def arithmetic(op: str, left: Value, right: Value) -> Value:
-    """One operator on two values of agreeing types; raises ArithmeticError or ValueError where there is no value."""
+    """Apply an operator to two values of matching types.
+
+    Raises ArithmeticError or ValueError if there is no value.
+    """
     match left, right:
         case Point(), Point():
             if op == "+":
@@ -49,8 +52,10 @@ def _point(x: float, y: float, z: float) -> Point:
 
 
 def sized(op: str, left: int | float, right: int | float) -> int | float:
-    """One operation on numbers, none of which grows without bound. A product or power of ints of more than MAX_BITS has
-    no value, nor has a sum or difference of two ints that are both beyond SMALL_BITS."""
+    """Apply an operator to two numbers, with limits on the size of ints. Raises ValueError beyond them.
+
+    A result of more than MAX_BITS has no value, except for a sum or difference with an int of at most SMALL_BITS.
+    """
     ints = isinstance(left, int) and isinstance(right, int)
     if ints and op == "*" and left.bit_length() + right.bit_length() > MAX_BITS + 1:  # type: ignore[union-attr]
         raise ValueError(_TOO_LONG)
@@ -61,7 +66,7 @@ def sized(op: str, left: int | float, right: int | float) -> int | float:
 
 
 def within_bits(number: T) -> T:
-    """Return a number. ValueError for an int of more than MAX_BITS."""
+    """Return a number unchanged. Raises ValueError for an int of more than MAX_BITS."""
     if isinstance(number, int) and number.bit_length() > MAX_BITS:
         raise ValueError(_TOO_LONG)
     return number
@@ -105,7 +110,7 @@ _TOO_LONG = f"an int of more than {MAX_BITS} bits"
 
 
 def compared(op: str, left: Value, right: Value) -> bool:
-    """A comparison of two values of one type. Raises NotANumber where either has NaN in it."""
+    """Compare two values of one type. Raises NotANumber if one of them contains NaN."""
     if has_nan(left) or has_nan(right):
         raise NotANumber
     match op:

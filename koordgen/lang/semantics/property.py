@@ -1,4 +1,4 @@
-"""What properties mean, over the shared store, every robot's locals and ports; and port assumptions, over one robot."""
+"""Semantics of properties, over the whole fleet's state, and of port assumptions, over one robot's."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from koordgen.lang.semantics.values import Value, conforms, same
 
 
 class Asked(NamedTuple):
-    """One call of a callable port, by "Module.port", and what it answered."""
+    """One call of a callable port, named "Module.port", with its answer."""
 
     port: str
     args: tuple[Value, ...]
@@ -23,8 +23,11 @@ class Asked(NamedTuple):
 
 
 def holds_property(property_: decl.Property, program: decl.Program, state: State, world: World = NOTHING) -> bool:
-    """Whether a property holds at a round's boundary. Raises Discarded where its formula has no value (an index that
-    names no robot), NoMeaning where it asks a `spec fun` of which `world` knows nothing."""
+    """Return whether a property holds at a round's boundary.
+
+    Raises Discarded if its formula has no value (for example, an index that names no robot), and NoMeaning if it calls
+    a `spec fun` that `world` does not define.
+    """
     view = library(program, len(state.robots), state.params, world, Budget(world.turns), no_port)
     view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
     return holds(property_.formula, view)
@@ -34,10 +37,12 @@ def holds_assumption(
     assumption: decl.Assumption, program: decl.Program, before: Mapping[str, Value], after: Mapping[str, Value],
     pid: int, n_sys: int, params: Mapping[str, Value], world: World = NOTHING, asked: Sequence[Asked] = (),
 ) -> bool:  # fmt: skip
-    """Whether a module's assumption holds of one robot: `before` are its ports right after the program's step, `after`
-    at a moment of the delta that follows, both by "Module.port". `asked`: its calls in that step. What is assumed for
-    all goals is held to those that were asked for, and holds where none was. Raises Discarded where the formula has no
-    value."""
+    """Return whether a module's assumption holds for one robot.
+
+    `before` has its ports right after the program's step, `after` at a time during the following delta, both by
+    "Module.port". `asked` has its calls of ports in that step. An assumption about all goals is checked for the goals
+    of these calls, and holds if there were none. Raises Discarded if the formula has no value.
+    """
     answers = {(call.port, call.args): call.answer for call in asked}
 
     def ask(port: str, args: tuple[Value, ...]) -> Value:
@@ -51,7 +56,10 @@ def holds_assumption(
 def _goals(
     patterns: list[tuple[PortCall, dict[int, TempRead]]], asked: Sequence[Asked], known: dict[str, Value]
 ) -> Iterator[dict[str, Value]]:
-    """What the goals can stand for, so that each of the calls was made; once, where there are no goals."""
+    """Yield the values of the goals for which all of the formula's calls were made.
+
+    One empty dict without goals.
+    """
     if not patterns:
         yield known
         return

@@ -1,4 +1,7 @@
-"""Every step that the language allows: any enabled event of any robot, or none, in any order. Agents take one."""
+"""All steps that the language allows: any enabled event of each robot, or none, in any order.
+
+Agents take one.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +15,18 @@ from koordgen.lang.semantics.state import NOTHING, State, Store, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, select
 
 Environment = Callable[[State], Iterable[State]]
-Happened = tuple[State, str, int | None, int]  # a state, the event that led to it, its robot (None: all), the round
+Happened = tuple[State, str, int | None, int]  # state, event that led to it, its robot (None: all), round
 
 
 def choices(
     program: decl.Program, state: State, pid: int, begun: Store | None = None, world: World = NOTHING
 ) -> list[Step]:
-    """Return the steps of one robot in a round: skip, or run any event whose guard holds, that has priority and that is
-    not discarded. `begun` is the store at the round's start (the state's own unless given), on which plain events run
-    and guards of earlier events of a `priority:` block are evaluated; atomic events run on the state's."""
+    """Return the steps of one robot in a round: skip, or run an event.
+
+    The event's guard must hold, it must have priority, and it must not be discarded. `begun` is the store at the
+    round's start, by default the state's own: plain events run on it, and guards of earlier events of a `priority:`
+    block are evaluated on it. Atomic events run on the state's store.
+    """
     found = [Step(pid, None, None)]
     if not state.robots[pid].stopped:
         steps = (choice(program, event, state, pid, begun, world) for event in program.events)
@@ -32,7 +38,10 @@ def choice(
     program: decl.Program, event: decl.Event, state: State, pid: int, begun: Store | None = None,
     world: World = NOTHING,
 ) -> Step | None:  # fmt: skip
-    """The step of one event among the `choices` of a robot that has not stopped; None where it is none of them."""
+    """Return the step of one event of a robot that has not stopped.
+
+    Returns None if it is not among the robot's `choices`.
+    """
     copy = state if begun is None else state._replace(store=begun)
     seen = copy if event.lock is None else state
     try:
@@ -44,7 +53,7 @@ def choice(
 
 
 def post(program: decl.Program, state: State, order: Sequence[int], world: World = NOTHING) -> list[State]:
-    """Every state after the robots of `order` took one step each, in that order: the state itself where it is empty."""
+    """Return all states after the robots in `order` took one step each, in that order."""
     states = [state]
     for pid in order:
         states = _distinct(applied(program, s, c) for s in states for c in choices(program, s, pid, state.store, world))
@@ -52,18 +61,21 @@ def post(program: decl.Program, state: State, order: Sequence[int], world: World
 
 
 def rounds(program: decl.Program, state: State, world: World = NOTHING) -> list[State]:
-    """Every state at the end of a round's program step: all orders of all robots."""
+    """Return all states after the program's step of a round: for all orders of all robots."""
     orders = permutations(range(len(state.robots)))
     found = _distinct(after for order in orders for after in post(program, state, order, world))
     return [after._replace(round=state.round + 1) for after in found]
 
 
 def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: World = NOTHING) -> bool:
-    """Return whether agents can do every round of a run: each robot skips, or runs the first event in text order whose
-    guard holds at the round's start (behind a guard without a value it runs none); commits come first, at most one for
-    each lock; then plain events by ascending pid. An event that is discarded may stand last."""
+    """Return whether agents can execute every round of a run.
+
+    In a round of agents each robot skips, or runs the first event in text order whose guard holds at the round's start;
+    after a guard without a value it runs none. Commits come first, at most one for each lock, then plain events by
+    ascending pid. A discarded event may only stand last.
+    """
     before = run[0][0]
-    rounds_of: dict[int, tuple[State, list[tuple[int, str]]]] = {}  # by number: how each begins, its steps
+    rounds_of: dict[int, tuple[State, list[tuple[int, str]]]] = {}  # number -> state at its start, steps
     for after, event, pid, number in run:
         if pid is not None and event != "init":
             rounds_of.setdefault(number, (before, []))[1].append((pid, event))
@@ -72,11 +84,11 @@ def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: Wo
 
 
 def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World) -> bool:
-    locks: list[int] = []  # of the commits
+    locks: list[int] = []  # locks of the commits
     plain: list[int] = []  # pids of the plain events
     for pid, name in steps:
         chosen = select(program, begun, pid, world)
-        if isinstance(chosen, Step):  # its guard has no value
+        if isinstance(chosen, Step):  # the guard has no value
             return chosen.event == name and (pid, name) == steps[-1]
         if chosen is None or chosen.name != name:
             return False
@@ -90,14 +102,14 @@ def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tup
 
 
 def end(states: Iterable[State], environment: Environment) -> list[State]:
-    """Every state after the environment's step: delta has passed, all robots have moved, all copies are fresh."""
+    """Return all states after the environment's step: time delta has passed, and all robots have moved."""
     return _distinct(moved for state in states for moved in environment(state))
 
 
 def reach(
     program: decl.Program, states: Sequence[State], environment: Environment, count: int, world: World = NOTHING
 ) -> list[State]:
-    """Every state at the end of `count` rounds; the states themselves for 0."""
+    """Return all states at the end of `count` rounds; `states` for 0."""
     for _ in range(count):
         states = end([after for state in states for after in rounds(program, state, world)], environment)
     return list(states)

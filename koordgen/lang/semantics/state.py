@@ -1,4 +1,4 @@
-"""A fleet's state, and what lies outside of a program."""
+"""State of a fleet, and the outside world: functions and ports that a program calls."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from koordgen.lang.semantics.values import Value
 
 
 class Robot(NamedTuple):
-    """One robot's own: `ports` by "Module.port", sensors and actuators alike."""
+    """Private state of one robot. `ports` has its sensors and actuators, by "Module.port"."""
 
     locals: Mapping[str, Value]
     ports: Mapping[str, Value]
@@ -17,15 +17,17 @@ class Robot(NamedTuple):
 
 
 class Store(NamedTuple):
-    """The shared variables: allread ones by name and pid, allwrite ones by name."""
+    """Shared variables: `slots` has allread ones by name and pid, `cells` allwrite ones by name."""
 
     slots: Mapping[str, tuple[Value, ...]]
     cells: Mapping[str, Value]
 
 
 class State(NamedTuple):
-    """A fleet at a round's start; every robot's copy of the store is then the store itself. `round` is the number of
-    the round to come, 0 when init has not run."""
+    """State of a fleet at a round's start, when every robot's copy of the store is equal to the store.
+
+    `round` is the number of the next round, 0 before init.
+    """
 
     params: Mapping[str, Value]
     robots: tuple[Robot, ...]
@@ -34,15 +36,19 @@ class State(NamedTuple):
 
 
 def nobody(pid: int, port: str, args: tuple[Value, ...]) -> Value:
-    """The callable ports of a fleet that has none."""
+    """Answer for callable ports of a fleet without any: raises LookupError."""
     raise LookupError(f"nothing serves {port}")
 
 
 class World(NamedTuple):
-    """What a program calls. `externs`: its extern functions by name, over values as here, pure; also `spec fun`s, where
-    properties that use them are to be executed. `answer`: what a callable port says, by pid, "Module.port" and
-    arguments; an input, the same as often as an event is run again. What they raise discards the event. `turns`: those
-    of loops that one event has here, where they are fewer than a robot's."""
+    """Functions and ports outside of a program, which it calls.
+
+    An exception that they raise discards the event.
+
+    `externs` has pure extern functions by name, and `spec fun`s if properties that use them are to be executed.
+    `answer` returns the answer of a callable port for a pid, "Module.port" and arguments. The answer is an input: it
+    must be the same when an event is run again. `turns` limits the turns of an event; None: as on robots.
+    """
 
     externs: Mapping[str, Callable[..., Value]]
     answer: Callable[[int, str, tuple[Value, ...]], Value]

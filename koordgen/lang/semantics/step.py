@@ -1,9 +1,9 @@
-"""What a program means: states, one event of one robot, a round, init. Pure; what the agents do is compared with it.
+"""Semantics of a program: init, one event of one robot, a round. Pure; tests compare agents with it.
 
-Of the rounds that the language allows, `round_` is the one that agents take: each robot runs the first event in text
-order whose guard holds, on the shared store as it was at the round's start. First come the commits of atomic events, at
-most one for each lock, then the plain events by ascending pid: of several writers of an allwrite variable the last
-counts. What one event wrote takes effect together. relations.py has all the others.
+Of the rounds that the language allows, `round_` is the one that agents execute. Each robot runs the first event in text
+order whose guard holds, on the shared store as it was at the round's start. The commits of atomic events come first, at
+most one for each lock, then the plain events by ascending pid: if several robots write an allwrite variable, the last
+write counts. All writes of one event take effect together. relations.py has all other rounds.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from koordgen.lang.semantics.values import RecordValue, Value, default
 
 
 class Step(NamedTuple):
-    """What one robot did in a round: the event chosen (None: init, or no guard held) and its outcome; None when it
-    skipped."""
+    """Step of one robot in a round.
+
+    `event` is None for init and if no guard held. `outcome` is None if the robot skipped the round.
+    """
 
     pid: int
     event: str | None
@@ -29,8 +31,11 @@ class Step(NamedTuple):
 
 
 def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Value]] = ()) -> State:
-    """Before init: initial values everywhere, sensors as given by robot and "Module.port". An unset actuator holds: a
-    `target` is where the robot is, unless it is given."""
+    """Return the state before init.
+
+    All variables have their initial values. `sensors` has values by robot and "Module.port". An actuator without a
+    command has the value of the sensor that it holds at, so a `target` is the robot's position, unless it is given.
+    """
     constants = library(program, n_sys, {}, NOTHING, Budget(), no_port)
     params = {p.name: constant(p.default, constants, p.type) for p in program.params}
     constants = constants._replace(params=params)
@@ -55,18 +60,20 @@ def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Va
 
 
 def _held(program: decl.Program, sensors: Mapping[str, Value]) -> dict[str, Value]:
-    """Actuators of a robot that nothing was commanded yet, which hold at what their sensors say."""
+    """Return the actuators of a robot without commands, with the values of the sensors that they hold at."""
     return {name: sensors[sensor] for name, sensor in held(program).items() if sensor in sensors}
 
 
 def no_port(port: str, args: tuple[Value, ...]) -> Value:
-    """The callable ports where nobody is asking."""
+    """Answer for callable ports outside of an event: raises LookupError."""
     return nobody(-1, port, args)
 
 
 def run_init(program: decl.Program, state: State, world: World = NOTHING) -> tuple[State, list[Step]]:
-    """Every robot's init, each on the store before it; round 1 comes next. Where one of them is discarded, no mission
-    begins: nothing goes on from the state that is returned then."""
+    """Run the init of every robot, each on the store before init. The next round is 1.
+
+    If one of them is discarded, no mission begins, and the returned state must not be used.
+    """
     steps = [Step(pid, None, execute(program, program.init, state, pid, world)) for pid in range(len(state.robots))]
     return _all_applied(program, state, steps)._replace(round=1), steps
 
@@ -75,10 +82,14 @@ def round_(
     program: decl.Program, state: State, skipping: Collection[int] = (), grants: Mapping[int, int] | None = None,
     world: World = NOTHING,
 ) -> tuple[State, list[Step]]:  # fmt: skip
-    """The program's step of one round, the steps in the order in which they count; robots in `skipping` and those that
-    stopped take none. `grants` tells which robot has the right to each lock; without it the lowest pid that wants one
-    has it. A robot whose first enabled event is atomic and that lacks the right skips. The environment's step (`sense`)
-    comes after it."""
+    """Run the program's step of one round.
+
+    Returns the next state, and the steps in the order of their effects.
+
+    Robots in `skipping` and stopped robots take no step. `grants` has the robot that holds each lock; by default the
+    lowest pid that wants it. A robot whose first enabled event is atomic skips the round if it does not hold the lock.
+    The environment's step (`sense`) comes after this step.
+    """
     chosen = [
         (pid, select(program, state, pid, world))
         for pid, robot in enumerate(state.robots)
@@ -101,8 +112,10 @@ def round_(
 
 
 def select(program: decl.Program, state: State, pid: int, world: World = NOTHING) -> decl.Event | Step | None:
-    """The first event in text order whose guard holds; None when none does. A guard without a value is a discarded
-    Step of its event: no later one is looked at."""
+    """Return the first event in text order whose guard holds; None if there is none.
+
+    A guard without a value gives a discarded Step of its event, and later events are not considered.
+    """
     for event in program.events:
         try:
             if enabled(program, event, state, pid, world):
@@ -113,14 +126,15 @@ def select(program: decl.Program, state: State, pid: int, world: World = NOTHING
 
 
 def enabled(program: decl.Program, event: decl.Event, state: State, pid: int, world: World = NOTHING) -> bool:
-    """Whether an event's guard holds for a robot. Raises Discarded."""
+    """Return whether an event's guard holds for a robot. Raises Discarded."""
     return holds(event.guard, _view(program, state, pid, world, Budget(world.turns)))
 
 
 def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: int, world: World = NOTHING) -> bool:
-    """Return whether the guard of every earlier event in the event's `priority:` block has a value and is false.
+    """Return whether the guards of all earlier events in the `priority:` block have a value and are false.
 
-    `begun`: what the robot sees at the round's start. Outside of blocks every event has priority."""
+    `begun` is the state that the robot sees at the round's start. An event outside of blocks always has priority.
+    """
     try:
         return not any(enabled(program, earlier, begun, pid, world) for earlier in program.earlier(event))
     except Discarded:
@@ -130,20 +144,22 @@ def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: in
 def execute(
     program: decl.Program, block: stmt.Block, state: State, pid: int, world: World = NOTHING
 ) -> Writes | Discarded:
-    """An effect (or init) of one robot on a state: its writes, or why none of them counts."""
+    """Run an effect, or init, of one robot on a state. Returns its writes, or why they are discarded."""
     budget = Budget(world.turns)
     return run(program, block, _view(program, state, pid, world, budget), budget)
 
 
 def sense(state: State, sensors: Sequence[Mapping[str, Value]]) -> State:
-    """The environment's step: new sensor values, by robot and "Module.port"; those not named stay. All robots are
-    moved, those that skipped or stopped, too."""
+    """Return the state after the environment's step, with new sensor values by robot and "Module.port".
+
+    Sensors without a new value keep their value. Robots that skipped or stopped move, too.
+    """
     robots = tuple(r._replace(ports={**r.ports, **new}) for r, new in zip(state.robots, sensors, strict=True))
     return state._replace(robots=robots)
 
 
 def applied(program: decl.Program, state: State, step: Step) -> State:
-    """A state after what one step wrote, all of it together, and the sensors that its commands clear."""
+    """Return the state after one step: its writes, and False for the sensors that its commands clear."""
     pid, outcome = step.pid, step.outcome
     if not isinstance(outcome, Writes):
         return state

@@ -1,8 +1,8 @@
-"""Koord's values, and what is true of them whatever the program: equality, defaults, types, what may be kept.
+"""Values of Koord: equality, defaults, types, and which values can be stored.
 
-Ints, floats, bools and strings are Python's; Points, Poses, Grids, Scans and GridMaps those of the robots. Lists and
-queues are tuples (a queue's front first); sets are tuples, ascending, without repetition; maps are tuples of pairs,
-their keys ascending, without repetition. Nothing is ever changed in place, so nothing is ever copied.
+Ints, floats, bools and strings are Python's; Points, Poses, Grids, Scans and GridMaps are the classes of the robots.
+Lists and queues are tuples (a queue's front first); sets are ascending tuples without duplicates; maps are tuples of
+pairs with ascending keys without duplicates. Values are immutable, so they are never copied.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 
 
 class RecordValue(NamedTuple):
-    """A record: the name of its type, its fields' values in the order of their declaration."""
+    """Value of a record: the name of its type, and its fields' values in the order of their declaration."""
 
     name: str
     fields: tuple[Value, ...]
 
 
 class Rect(NamedTuple):
-    """The box between two corners, its faces included."""
+    """Box between two corners, with its faces."""
 
     a: Point
     b: Point
 
 
 class Ball(NamedTuple):
-    """The points at most `radius` metres away from `center`."""
+    """Ball of all points at most `radius` metres away from `center`."""
 
     center: Point
     radius: float
@@ -49,26 +49,29 @@ _PYTHON: dict[str, type] = {
     "GridMap": GridMap,
 }  # fmt: skip
 EXTERN_BYTES = 256
-CELLS_AN_ELEMENT = 100  # so many cells of a GridMap count as one element
+CELLS_AN_ELEMENT = 100  # number of cells of a GridMap that count as one element
 INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 P = TypeVar("P")
 
 
 def as_(kind: type[P], value: object) -> P:
-    """The value, which is of that kind in a checked program."""
+    """Return a value that must be of a Python type. Raises InternalError if it is not."""
     if not isinstance(value, kind):
-        raise InternalError(f"{value!r} is no {kind.__name__}")
+        raise InternalError(f"{value!r} is not of type {kind.__name__}")
     return value
 
 
 def items(value: object) -> tuple[Any, ...]:
-    """The elements of a list, queue or set, the pairs of a map, the items of a tuple."""
+    """Return the elements of a list, queue or set, the pairs of a map, or the items of a tuple."""
     return as_(tuple, value)
 
 
 def same(a: Value, b: Value) -> bool:
-    """`a == b` of one type, part by part, floats as IEEE 754 has it. In a program, neither has NaN in it."""
+    """Return `a == b` for values of one type, with floats as in IEEE 754.
+
+    In a program neither contains NaN.
+    """
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, _STRUCTS):
@@ -77,8 +80,11 @@ def same(a: Value, b: Value) -> bool:
 
 
 def elements_in(value: object, most: int) -> int:
-    """Count the elements of a value and of all that is in it, items of tuples, characters and rays too; of a map its
-    pairs, keys and values; of a GridMap one for CELLS_AN_ELEMENT cells. Counting ends beyond `most`."""
+    """Count the elements of a value at all depths; stop counting beyond `most`.
+
+    Items of tuples, characters and rays count. A map counts its pairs, keys and values. A GridMap counts one for each
+    CELLS_AN_ELEMENT cells.
+    """
     if isinstance(value, str):
         return len(value)
     if isinstance(value, GridMap):
@@ -98,7 +104,7 @@ def elements_in(value: object, most: int) -> int:
 
 
 def default(type_: Type, records: Mapping[str, RecordValue]) -> Value:
-    """What a variable or port of a type begins with; `records` are the defaults of the program's records."""
+    """Return the default of a type. `records` has the defaults of the program's records."""
     match type_:
         case Scalar(name) | Sized(name):
             return as_(_PYTHON[name], _DEFAULTS[name])
@@ -123,7 +129,10 @@ _DEFAULTS: dict[str, Value] = {
 
 
 def conforms(value: object, type_: Type) -> bool:
-    """Whether something is a value of a type, sets and maps in their order; capacities aside."""
+    """Return whether an object is a value of a type, with sets and maps in order.
+
+    Capacities are not checked.
+    """
     match type_:
         case Scalar(name) | Sized(name):
             of_it = type(value) is _PYTHON.get(name) or (name == "float" and isinstance(value, Exact))
@@ -158,16 +167,20 @@ def _ascending(keys: Any) -> bool:
 
 
 def has_nan(value: object) -> bool:
-    """Return whether a value is NaN, or has NaN in it at any depth: then it cannot be compared."""
+    """Return whether a value is or contains NaN, at any depth, and so cannot be compared."""
     if isinstance(value, _STRUCTS):
         return any(has_nan(getattr(value, field)) for field in value.__struct_fields__)
     return any(map(has_nan, value)) if isinstance(value, tuple) else isinstance(value, float) and math.isnan(value)
 
 
 def flaw(value: Any, type_: Type) -> str:
-    """Return why a variable, slot or actuator of a type may not keep a value of that type; empty when it may. Every
-    float that is kept is finite, at any depth: so no NaN outlives its event. No int that is kept is beyond 64 bits:
-    one that is squared every round would soon hang the robot."""
+    """Return why a variable, slot or actuator of a type cannot store a value of that type.
+
+    Returns an empty string if it can.
+
+    Stored floats are finite, at any depth, so no NaN outlives its event. Stored ints have at most 64 bits: an int that
+    is squared every round would soon block the robot.
+    """
     match type_:
         case Scalar() | Sized("string"):
             return number_flaw(value) or (_text_flaw(value, type_) if isinstance(type_, Sized) else "")
@@ -193,7 +206,7 @@ def flaw(value: Any, type_: Type) -> str:
 
 
 def number_flaw(value: Any) -> str:
-    """Return why a value's numbers are none that may be kept or sent, or come in; empty when they are."""
+    """Return why a value has numbers that cannot be stored, sent or received; empty if it has none."""
     if isinstance(value, (*_STRUCTS, tuple)):
         parts = value if isinstance(value, tuple) else [getattr(value, field) for field in value.__struct_fields__]
         return _first(number_flaw(part) for part in parts)
@@ -207,7 +220,7 @@ def _text_flaw(value: str, type_: Sized) -> str:
 
 
 def encodable(text: str) -> bool:
-    """Whether a text is Unicode: no lone surrogates, which badly decoded bytes leave."""
+    """Return whether a string is valid Unicode: without lone surrogates, which badly decoded bytes leave."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 

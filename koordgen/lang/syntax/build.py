@@ -1,7 +1,8 @@
-"""The nodes that the grammar's rules make: each function gets a rule's children, tokens included.
+"""Builders of syntax tree nodes: one function for each grammar rule, called with the rule's children.
 
-The names are those of koord.lark; lr.py looks them up here. A function refuses only what the grammar cannot see:
-a number or an escape that does not exist, a tuple of one, a chain too long, an expression in a type's place.
+The functions are named like the rules of koord.lark; lr.py looks them up here. They reject errors that the grammar
+cannot express: invalid numbers and escapes, a tuple with one item, a chain that is too long, an expression in place of
+a type.
 """
 
 from __future__ import annotations
@@ -15,30 +16,30 @@ from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl, expr, stmt, types
 
-Children = list[Any]  # of tokens (tuples of four), nodes, and blocks (tuples of statements)
+Children = list[Any]  # tokens (tuples of four), nodes, and blocks (tuples of statements)
 
 
-class Refused(Exception):
-    """A rule whose children cannot be accepted."""
+class BuilderError(Exception):
+    """A builder rejected the children of its rule."""
 
     def __init__(self, diagnostic: Diagnostic) -> None:
         super().__init__(diagnostic.message)
         self.diagnostic = diagnostic
 
 
-def refused(code: str, message: str, span: Span, help: str = "") -> Refused:
-    """To be raised."""
-    return Refused(Diagnostic(code, "error", message, span, help=help))
+def builder_error(code: str, message: str, span: Span, help: str = "") -> BuilderError:
+    """Make an exception to raise, with an error at `span`."""
+    return BuilderError(Diagnostic(code, "error", message, span, help=help))
 
 
 def token_span(token: tuple[str, str, int, int]) -> Span:
-    """Where a token stands."""
+    """Return the span of a token."""
     _, text, line, column = token
     return Span(line, column, line, column + len(text))
 
 
-def reach(first: Any, last: Any) -> Span:
-    """From the beginning of one token or node to the end of another."""
+def span_across(first: Any, last: Any) -> Span:
+    """Return the span from the beginning of one token or node to the end of another."""
     if first.__class__ is tuple:
         line, column = first[2], first[3]
     else:
@@ -50,19 +51,19 @@ def reach(first: Any, last: Any) -> Span:
     return Span(line, column, end.end_line, end.end_column)
 
 
-def across(first: Any, last: Any) -> Span:
-    """From the beginning of one node to the end of another."""
+def span_of_nodes(first: Any, last: Any) -> Span:
+    """Return the span from the beginning of one node to the end of another."""
     start, end = first.span, last.span
     return Span(start.line, start.column, end.end_line, end.end_column)
 
 
 def nodes(children: Children) -> tuple[Any, ...]:
-    """The children that are neither tokens nor blocks."""
+    """Return the children that are neither tokens nor blocks."""
     return tuple([c for c in children if c.__class__ is not tuple])
 
 
 def using_(c: Children) -> decl.Using:
-    return decl.Using(c[1][1], nodes(c), reach(c[0], c[1]))
+    return decl.Using(c[1][1], nodes(c), span_across(c[0], c[1]))
 
 
 def ports(c: Children) -> decl.Ports:
@@ -114,7 +115,7 @@ def array(c: Children) -> decl.Variable:
 
 
 def _optional(c: Children) -> tuple[tuple[Any, ...], Any]:
-    """The capacities and the initial value among what follows a variable's name and size."""
+    """Return the capacities and the initial value from the children after a variable's name and size."""
     found = nodes(c)
     if any(type(child) is tuple and child[0] == "=" for child in c):
         return found[:-1], found[-1]
@@ -159,7 +160,7 @@ def _parameters(c: Children) -> tuple[decl.Parameter, ...]:
 
 
 def _result(c: Children) -> Any:
-    """The type behind `->`, if there is one."""
+    """Return the type after `->`, or None."""
     for mark, node in pairwise(c):
         if type(mark) is tuple and mark and mark[0] == "->":
             return node
@@ -191,7 +192,7 @@ def effect(c: Children) -> decl.Effect:
     return decl.Effect(c[2], token_span(c[0]))
 
 
-_FOREIGN = frozenset(("let", "var", "const", "auto", "import", "from"))  # `let x = 3` reads as a declaration
+_FOREIGN = frozenset(("let", "var", "const", "auto", "import", "from"))  # `let x = 3` parses as a declaration
 
 
 def named_type(c: Children) -> types.NamedType:
@@ -202,27 +203,27 @@ def _named(name: str, span: Span) -> types.NamedType:
     if name in _FOREIGN:
         from koordgen.lang.syntax.habits import FOREIGN
 
-        raise refused("K001", f"Koord has no '{name}'", span, FOREIGN[name])
+        raise builder_error("K001", f"Koord has no '{name}'", span, FOREIGN[name])
     return types.NamedType(name, span)
 
 
 def generic(c: Children) -> types.GenericType:
-    return types.GenericType(c[0][1], nodes(c), reach(c[0], c[-1]))
+    return types.GenericType(c[0][1], nodes(c), span_across(c[0], c[-1]))
 
 
 def tuple_type(c: Children) -> types.TupleType:
     items = tuple(map(as_type, nodes(c)))
     if len(items) < 2:
-        raise refused("K001", "a tuple's type has two items at least", reach(c[0], c[-1]))
-    return types.TupleType(items, reach(c[0], c[-1]))
+        raise builder_error("K001", "a tuple type has at least two items", span_across(c[0], c[-1]))
+    return types.TupleType(items, span_across(c[0], c[-1]))
 
 
 def list_type(c: Children) -> types.GenericType:
-    return types.GenericType("[]", (as_type(c[0]),), reach(c[0], c[-1]))
+    return types.GenericType("[]", (as_type(c[0]),), span_across(c[0], c[-1]))
 
 
 def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
-    """What was read as an expression, because a type may begin like one."""
+    """Convert a node to a type. It was parsed as an expression if its beginning fits both."""
     match node:
         case types.NamedType() | types.GenericType() | types.TupleType() | types.BrokenType():
             return node
@@ -234,7 +235,7 @@ def as_type(node: types.TypeExpr | expr.Expr) -> types.TypeExpr:
             return types.BrokenType(node.span)
         case _:
             help = "a declaration is a type and a name: int count = 0"
-            raise refused("K001", "this is no type", node.span, help)
+            raise builder_error("K001", "this is not a type", node.span, help)
 
 
 _ESCAPES = {'\\"': '"', "\\'": "'", "\\\\": "\\", "\\n": "\n", "\\t": "\t"}
@@ -242,25 +243,25 @@ _ESCAPE = re.compile(r"\\.")
 
 
 def conditional(c: Children) -> expr.Conditional:
-    return expr.Conditional(c[2], c[0], c[4], reach(c[0], c[4]))
+    return expr.Conditional(c[2], c[0], c[4], span_across(c[0], c[4]))
 
 
 def logic(c: Children) -> expr.Logic:
-    return expr.Logic(c[1][1], token_span(c[1]), c[0], c[2], across(c[0], c[2]))
+    return expr.Logic(c[1][1], token_span(c[1]), c[0], c[2], span_of_nodes(c[0], c[2]))
 
 
 def quantified(c: Children) -> expr.Quantified:
     domain, body = c[-3], c[-1]
-    return expr.Quantified(c[0][1], names(c[1:-4]), domain, body, reach(c[0], body))
+    return expr.Quantified(c[0][1], names(c[1:-4]), domain, body, span_across(c[0], body))
 
 
 def names(tokens: Children) -> tuple[expr.Name, ...]:
-    """The names of a list with commas."""
+    """Return the names of a list with commas between them."""
     return tuple(expr.Name(token[1], token_span(token)) for token in tokens[::2])
 
 
 def unary(c: Children) -> expr.Unary:
-    return expr.Unary(c[0][1], c[1], reach(c[0], c[1]))
+    return expr.Unary(c[0][1], c[1], span_across(c[0], c[1]))
 
 
 def compare(c: Children) -> expr.Compare:
@@ -272,12 +273,12 @@ def compare(c: Children) -> expr.Compare:
         else:
             rest.append((op, child))
             op = ""
-    return expr.Compare(c[0], tuple(rest), across(c[0], c[-1]))
+    return expr.Compare(c[0], tuple(rest), span_of_nodes(c[0], c[-1]))
 
 
 def binary(c: Children) -> expr.Binary:
     left, op, right = c
-    return expr.Binary(op[1], left, right, across(left, right))
+    return expr.Binary(op[1], left, right, span_of_nodes(left, right))
 
 
 def attribute(c: Children) -> expr.Attribute:
@@ -289,21 +290,21 @@ def attribute(c: Children) -> expr.Attribute:
 
 
 def primed(c: Children) -> expr.Primed:
-    return expr.Primed(c[0], reach(c[0], c[1]))
+    return expr.Primed(c[0], span_across(c[0], c[1]))
 
 
 def index(c: Children) -> expr.Index:
-    return expr.Index(c[0], c[2], reach(c[0], c[3]))
+    return expr.Index(c[0], c[2], span_across(c[0], c[3]))
 
 
 def slice_(c: Children) -> expr.Slice:
     start = c[2] if type(c[2]) is not tuple else None
     stop = c[-2] if type(c[-2]) is not tuple else None
-    return expr.Slice(c[0], start, stop, reach(c[0], c[-1]))
+    return expr.Slice(c[0], start, stop, span_across(c[0], c[-1]))
 
 
 def call(c: Children) -> expr.Call:
-    return expr.Call(c[0], nodes(c[1:]), reach(c[0], c[-1]))
+    return expr.Call(c[0], nodes(c[1:]), span_across(c[0], c[-1]))
 
 
 def keyword(c: Children) -> expr.Keyword:
@@ -323,9 +324,11 @@ def integer(c: Children) -> expr.Literal:
     value = int(digits) if len(digits) < 20 else 2**63
     if value >= 2**63:
         help = f"an int has 64 bits: at most {2**63 - 1}"
-        raise refused("K009", f"{_shown(digits)} is too large for an int", token_span(c[0]), help)
+        raise builder_error("K009", f"{_shown(digits)} is too large for an int", token_span(c[0]), help)
     if len(text) > 1 and text[0] == "0":
-        raise refused("K001", f"a number does not begin with 0: {_shown(text)}", token_span(c[0]), f"write {value}")
+        raise builder_error(
+            "K001", f"a number does not begin with 0: {_shown(text)}", token_span(c[0]), f"write {value}"
+        )
     return expr.Literal(value, token_span(c[0]))
 
 
@@ -333,7 +336,7 @@ def real(c: Children) -> expr.Literal:
     value = float(c[0][1])
     if value == float("inf"):
         help = "a float is at most about 1.8e308"
-        raise refused("K009", f"{_shown(c[0][1])} is too large for a float", token_span(c[0]), help)
+        raise builder_error("K009", f"{_shown(c[0][1])} is too large for a float", token_span(c[0]), help)
     return expr.Literal(value, token_span(c[0]))
 
 
@@ -343,7 +346,9 @@ def string(c: Children) -> expr.Literal:
         if escape[0] not in _ESCAPES:
             start = column + escape.start()
             help = "the escapes are \\\" \\' \\\\ \\n \\t"
-            raise refused("K001", f"'{escape[0]}' is no escape", Span(line, start, line, start + 2), help)
+            raise builder_error(
+                "K001", f"'{escape[0]}' is not an escape sequence", Span(line, start, line, start + 2), help
+            )
     return expr.Literal(_ESCAPE.sub(lambda escape: _ESCAPES[escape[0]], text[1:-1]), token_span(c[0]))
 
 
@@ -352,8 +357,11 @@ def boolean(c: Children) -> expr.Literal:
 
 
 def group(c: Children) -> expr.Expr:
-    """Parentheses leave no node; what they enclose now spans them."""
-    node: expr.Expr = replace(c[1], span=reach(c[0], c[2]))
+    """Return the expression in parentheses, with a span that includes them.
+
+    They have no node of their own.
+    """
+    node: expr.Expr = replace(c[1], span=span_across(c[0], c[2]))
     return node
 
 
@@ -361,28 +369,28 @@ def tuple_(c: Children) -> expr.Tuple:
     items = nodes(c)
     if len(items) < 2:
         help = "parentheses need no comma inside"
-        raise refused("K001", "a tuple has two items at least", reach(c[0], c[-1]), help)
-    return expr.Tuple(items, reach(c[0], c[-1]))
+        raise builder_error("K001", "a tuple has at least two items", span_across(c[0], c[-1]), help)
+    return expr.Tuple(items, span_across(c[0], c[-1]))
 
 
 def list_(c: Children) -> expr.ListDisplay:
-    return expr.ListDisplay(nodes(c), reach(c[0], c[-1]))
+    return expr.ListDisplay(nodes(c), span_across(c[0], c[-1]))
 
 
 def set_(c: Children) -> expr.SetDisplay:
-    return expr.SetDisplay(nodes(c), reach(c[0], c[-1]))
+    return expr.SetDisplay(nodes(c), span_across(c[0], c[-1]))
 
 
 def map_(c: Children) -> expr.MapDisplay:
     items = nodes(c)
-    return expr.MapDisplay(tuple(zip(items[::2], items[1::2], strict=True)), reach(c[0], c[-1]))
+    return expr.MapDisplay(tuple(zip(items[::2], items[1::2], strict=True)), span_across(c[0], c[-1]))
 
 
 def _shown(text: str) -> str:
     return text if len(text) <= 30 else f"{text[:12]}... ({len(text)} digits)"
 
 
-MOST_ELIFS = 100  # each becomes an `if` inside the `else` before it
+MOST_ELIFS = 100  # each becomes a nested `if` in the `else` of the one before
 
 
 def block(c: Children) -> stmt.Block:
@@ -390,17 +398,17 @@ def block(c: Children) -> stmt.Block:
 
 
 def if_(c: Children) -> stmt.If:
-    first = stmt.Branch(c[1], c[3], reach(c[0], c[1]))
+    first = stmt.Branch(c[1], c[3], span_across(c[0], c[1]))
     orelse: stmt.Block = c[-1] if len(c) > 4 and type(c[-1]) is tuple else ()
     elifs = tuple(b for b in c[4:] if type(b) is stmt.Branch)
     if len(elifs) > MOST_ELIFS:
         message = f"more than {MOST_ELIFS} 'elif' follow one 'if'"
-        raise refused("K007", message, elifs[MOST_ELIFS].span, "split the chain")
+        raise builder_error("K007", message, elifs[MOST_ELIFS].span, "split the chain")
     return stmt.If((first, *elifs), orelse, first.span)
 
 
 def elif_(c: Children) -> stmt.Branch:
-    return stmt.Branch(c[1], c[3], reach(c[0], c[1]))
+    return stmt.Branch(c[1], c[3], span_across(c[0], c[1]))
 
 
 def else_(c: Children) -> stmt.Block:
@@ -413,25 +421,25 @@ def atomic_(c: Children) -> stmt.Atomic:
 
 
 def for_(c: Children) -> stmt.For:
-    return stmt.For(names(c[1:-4]), c[-3], c[-1], reach(c[0], c[-3]))
+    return stmt.For(names(c[1:-4]), c[-3], c[-1], span_across(c[0], c[-3]))
 
 
 def counted_for(c: Children) -> stmt.CountedFor:
-    return stmt.CountedFor(expr.Name(c[1][1], token_span(c[1])), c[3], c[5], c[7], reach(c[0], c[5]))
+    return stmt.CountedFor(expr.Name(c[1][1], token_span(c[1])), c[3], c[5], c[7], span_across(c[0], c[5]))
 
 
 def while_(c: Children) -> stmt.While:
-    return stmt.While(c[1], c[3], reach(c[0], c[1]))
+    return stmt.While(c[1], c[3], span_across(c[0], c[1]))
 
 
 def assign(c: Children) -> stmt.Assign:
     target, mark, value = c
-    return stmt.Assign(target, mark[1][:-1], value, across(target, value))
+    return stmt.Assign(target, mark[1][:-1], value, span_of_nodes(target, value))
 
 
 def declare(c: Children) -> stmt.Declare:
     value = c[3] if len(c) == 4 else None
-    return stmt.Declare(as_type(c[0]), c[1][1], token_span(c[1]), value, reach(c[0], c[-1]))
+    return stmt.Declare(as_type(c[0]), c[1][1], token_span(c[1]), value, span_across(c[0], c[-1]))
 
 
 def evaluate(c: Children) -> stmt.Evaluate | stmt.BrokenStmt:
@@ -441,7 +449,7 @@ def evaluate(c: Children) -> stmt.Evaluate | stmt.BrokenStmt:
 
 
 def return_(c: Children) -> stmt.Return:
-    return stmt.Return(c[1], reach(c[0], c[1]))
+    return stmt.Return(c[1], span_across(c[0], c[1]))
 
 
 def break_(c: Children) -> stmt.Break:
@@ -461,7 +469,7 @@ def stop_(c: Children) -> stmt.Stop:
 
 
 def loop_invariant(c: Children) -> stmt.Invariant:
-    return stmt.Invariant(c[1], reach(c[0], c[1]))
+    return stmt.Invariant(c[1], span_across(c[0], c[1]))
 
 
 def broken(c: Children) -> expr.Broken:

@@ -1,4 +1,4 @@
-"""Sections of a program as they were written, in their order of writing."""
+"""Syntax tree of a program's sections, in the order of the text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from koordgen.lang.syntax.types import TypeExpr
 
 
 class Mark(Node):
-    """What a port means: `as position`, `at sensor`, `clears sensor`; its span is the name's."""
+    """Mark that gives a port a meaning: `as position`, `at sensor`, `clears sensor`.
+
+    Its span is the name's.
+    """
 
     word: Literal["as", "at", "clears"]
     name: str
@@ -20,7 +23,10 @@ class Mark(Node):
 
 
 class Port(Node):
-    """`Type name marks` under `sensors` or `actuators`; `Type name` directly under `using`. Its span is the name's."""
+    """Port: `Type name marks` under `sensors` or `actuators`, `Type name` directly under `using`.
+
+    Span of the name.
+    """
 
     type: TypeExpr
     name: str
@@ -29,8 +35,10 @@ class Port(Node):
 
 
 class Ports(Node):
-    """A `sensors:` or `actuators:` block; a port directly under `using` stands in a block of its own whose direction
-    is empty (a callable port or a stream)."""
+    """Block `sensors:` or `actuators:`.
+
+    A port directly under `using`, which is a callable port or a stream, is a block of its own with an empty direction.
+    """
 
     direction: Literal["sensor", "actuator", ""]
     ports: tuple[Port, ...]
@@ -38,14 +46,14 @@ class Ports(Node):
 
 
 class Assume(Node):
-    """`assume formula` under `using`; its span is the word's."""
+    """Assumption: `assume formula` under `using`. Its span is the keyword's."""
 
     formula: Expr
     span: Span
 
 
 class Using(Node):
-    """`using Name:`; its span is the header's."""
+    """Section `using Name:`. Its span is the header's."""
 
     name: str
     items: tuple[Ports | Assume, ...]
@@ -53,7 +61,7 @@ class Using(Node):
 
 
 class Param(Node):
-    """`param Type name max 8 = default`; its span is the name's."""
+    """Section `param Type name max 8 = default`. Its span is the name's."""
 
     type: TypeExpr
     name: str
@@ -63,7 +71,10 @@ class Param(Node):
 
 
 class Variable(Node):
-    """`Type name[size] max 16, 8 = initial`, all but the first two optional; its span is the name's."""
+    """Variable: `Type name[size] max 16, 8 = initial`; only type and name are required.
+
+    Its span is the name's.
+    """
 
     type: TypeExpr
     name: str
@@ -74,7 +85,7 @@ class Variable(Node):
 
 
 class Variables(Node):
-    """An `allread:`, `allwrite:` or `local:` block."""
+    """Section `allread:`, `allwrite:` or `local:`."""
 
     kind: Literal["allread", "allwrite", "local"]
     variables: tuple[Variable, ...]
@@ -82,7 +93,7 @@ class Variables(Node):
 
 
 class RecordDef(Node):
-    """`def Task:` with its fields; its span is the name's."""
+    """Section `def Task:` with its fields. Its span is the name's."""
 
     name: str
     fields: tuple[Variable, ...]
@@ -90,7 +101,7 @@ class RecordDef(Node):
 
 
 class Parameter(Node):
-    """`Type name` or `Type name[N_SYS]` among the parameters of a function; its span is the name's."""
+    """Parameter of a function: `Type name` or `Type name[N_SYS]`. Its span is the name's."""
 
     type: TypeExpr
     name: str
@@ -99,8 +110,10 @@ class Parameter(Node):
 
 
 class Function(Node):
-    """`fun name(parameters) -> Type:`; its span is the name's. `def fun` of the 2020 dialect names no result and has
-    the `def_span` of its `def`."""
+    """Section `fun name(parameters) -> Type:`. Its span is the name's.
+
+    `def fun` of the 2020 dialect declares no result type; `def_span` is the span of its `def`.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -111,7 +124,10 @@ class Function(Node):
 
 
 class Contract(Node):
-    """`requires: formula` or `ensures: formula` under an extern function; its span is the word's."""
+    """Contract of an extern function: `requires: formula` or `ensures: formula`.
+
+    Its span is the keyword's.
+    """
 
     kind: Literal["requires", "ensures"]
     formula: Expr
@@ -119,7 +135,10 @@ class Contract(Node):
 
 
 class ExternFunction(Node):
-    """`extern fun name(parameters) -> Type`, contracts indented under it after a colon; its span is the name's."""
+    """Section `extern fun name(parameters) -> Type`, with indented contracts after a colon.
+
+    Its span is the name's.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -129,14 +148,14 @@ class ExternFunction(Node):
 
 
 class ExternType(Node):
-    """`extern type Name`; its span is the name's."""
+    """Section `extern type Name`. Its span is the name's."""
 
     name: str
     span: Span
 
 
 class SpecFunction(Node):
-    """`spec fun name(parameters) -> Type`; its span is the name's."""
+    """Section `spec fun name(parameters) -> Type`. Its span is the name's."""
 
     name: str
     parameters: tuple[Parameter, ...]
@@ -145,8 +164,10 @@ class SpecFunction(Node):
 
 
 class Property(Node):
-    """`initially: formula` (its name is empty), `invariant NAME: formula`, `axiom NAME: formula`; its span is the
-    name's, or the word's where there is none."""
+    """Section `initially: formula`, `invariant NAME: formula` or `axiom NAME: formula`.
+
+    `initially` has an empty name. The span is the name's, or the keyword's if there is no name.
+    """
 
     kind: Literal["initially", "invariant", "axiom"]
     name: str
@@ -155,28 +176,28 @@ class Property(Node):
 
 
 class Init(Node):
-    """`init:`"""
+    """Section `init:`."""
 
     block: Block
     span: Span
 
 
 class Guard(Node):
-    """`pre:`"""
+    """Guard of an event: `pre:`."""
 
     condition: Expr
     span: Span
 
 
 class Effect(Node):
-    """`eff:`"""
+    """Effect of an event: `eff:`."""
 
     block: Block
     span: Span
 
 
 class Event(Node):
-    """`Name:` with what stands under it, whatever the order; its span is the name's."""
+    """Event: `Name:` and its clauses in the order of the text. Its span is the name's."""
 
     name: str
     clauses: tuple[Guard | Effect, ...]
@@ -184,14 +205,14 @@ class Event(Node):
 
 
 class Priority(Node):
-    """`priority:` with events indented under it, whose text order is their priority; its span is the word's."""
+    """Section `priority:` with indented events, in the order of their priority. Its span is the keyword's."""
 
     events: tuple[Event, ...]
     span: Span
 
 
 class BrokenSection(Node):
-    """A section of which nothing could be read; it has been reported. `names` are the names that stand in it."""
+    """A section that could not be parsed; the error is already reported. `names` has all names in it."""
 
     names: tuple[str, ...]
     span: Span
@@ -204,6 +225,6 @@ Section = (
 
 
 class Program(Node):
-    """All that was read of a text; what could not be read is in it as broken nodes."""
+    """Syntax tree of a program. Text that could not be parsed is in it as broken nodes."""
 
     sections: tuple[Section, ...]

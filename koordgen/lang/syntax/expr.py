@@ -1,5 +1,7 @@
-"""Expressions as they were written. Words and marks of the 2020 dialect stay as they are (`&&`, `true`): the checker
-notes them."""
+"""Syntax tree of expressions.
+
+Spellings of the 2020 dialect (`&&`, `true`) are kept as written; the checker reports them.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +10,21 @@ from koordgen.lang.source import Span
 
 
 class Name(Node):
-    """A name of any kind; the checker knows which."""
+    """Name of any kind; the checker resolves it."""
 
     name: str
     span: Span
 
 
 class Literal(Node):
-    """An int, a float, a bool or a string (its escapes resolved)."""
+    """Literal int, float, bool or string. Escapes of a string are resolved."""
 
     value: int | float | bool | str
     span: Span
 
 
 class Attribute(Node):
-    """`value.name`: a port of a module, a field or a method."""
+    """Attribute `value.name`: a port of a module, a field or a method."""
 
     value: Expr
     name: str
@@ -31,14 +33,14 @@ class Attribute(Node):
 
 
 class Primed(Node):
-    """`value'`: in an assumption, the port at any moment of the following delta."""
+    """Primed port `value'` in an assumption: the port's value at any time during the following delta."""
 
     value: Expr
     span: Span
 
 
 class Index(Node):
-    """`value[index]`"""
+    """Index `value[index]`."""
 
     value: Expr
     index: Expr
@@ -46,7 +48,7 @@ class Index(Node):
 
 
 class Slice(Node):
-    """`value[start:stop]`, either of them optional."""
+    """Slice `value[start:stop]`; both ends are optional."""
 
     value: Expr
     start: Expr | None
@@ -55,7 +57,7 @@ class Slice(Node):
 
 
 class Keyword(Node):
-    """`name=value` among the arguments of a call; its span is the name's."""
+    """Argument with a name in a call: `name=value`. Its span is the name's."""
 
     name: str
     value: Expr
@@ -63,7 +65,7 @@ class Keyword(Node):
 
 
 class Call(Node):
-    """`function(args)`"""
+    """Call `function(args)`."""
 
     function: Expr
     args: tuple[Expr | Keyword, ...]
@@ -71,35 +73,35 @@ class Call(Node):
 
 
 class Tuple(Node):
-    """`(a, b)`: two items at least."""
+    """Tuple `(a, b)`, with two or more items."""
 
     items: tuple[Expr, ...]
     span: Span
 
 
 class ListDisplay(Node):
-    """`[a, b]`"""
+    """List `[a, b]`."""
 
     items: tuple[Expr, ...]
     span: Span
 
 
 class SetDisplay(Node):
-    """`{a, b}`: one item at least."""
+    """Set `{a, b}`, with one or more items."""
 
     items: tuple[Expr, ...]
     span: Span
 
 
 class MapDisplay(Node):
-    """`{k: v}`; `{}` is an empty map or an empty set, as is wanted."""
+    """Map `{k: v}`. `{}` is an empty map or set, depending on the expected type."""
 
     items: tuple[tuple[Expr, Expr], ...]
     span: Span
 
 
 class Unary(Node):
-    """op: `-`, `not`; `!` of the 2020 dialect."""
+    """Unary operator: `-`, `not`, or `!` of the 2020 dialect."""
 
     op: str
     operand: Expr
@@ -107,7 +109,7 @@ class Unary(Node):
 
 
 class Binary(Node):
-    """op: `+ - * / // % **`, and `<<` of a stream."""
+    """Binary operator: `+ - * / // % **`, or `<<`, which writes to a stream."""
 
     op: str
     left: Expr
@@ -116,8 +118,10 @@ class Binary(Node):
 
 
 class Compare(Node):
-    """`first op second op third ...`: every neighbouring pair holds, as in Python.
-    op: `== != < <= > >= in`, `not in`."""
+    """Comparison `first op second op third ...`: true if each neighbouring pair holds, as in Python.
+
+    Operators: `== != < <= > >= in`, `not in`.
+    """
 
     first: Expr
     rest: tuple[tuple[str, Expr], ...]
@@ -125,7 +129,7 @@ class Compare(Node):
 
 
 class Logic(Node):
-    """op: `and`, `or`; `&&`, `||` of the 2020 dialect. `op_span` is the operator's place."""
+    """Logical operator: `and`, `or`, or `&&`, `||` of the 2020 dialect. `op_span` is the operator's span."""
 
     op: str
     op_span: Span
@@ -135,7 +139,7 @@ class Logic(Node):
 
 
 class Conditional(Node):
-    """`then if condition else orelse`"""
+    """Conditional `then if condition else orelse`."""
 
     condition: Expr
     then: Expr
@@ -144,7 +148,7 @@ class Conditional(Node):
 
 
 class Quantified(Node):
-    """`forall i, j in domain: body`; kind: `forall` or `exists`. Each name with its place."""
+    """Quantifier `forall i, j in domain: body`. `kind` is `forall` or `exists`."""
 
     kind: str
     names: tuple[Name, ...]
@@ -154,8 +158,10 @@ class Quantified(Node):
 
 
 class Broken(Node):
-    """What could not be read; it has been reported. `names` are the names that stand in it: what it may have meant
-    to declare is no second mistake."""
+    """Text that could not be parsed; the error is already reported.
+
+    `names` has all names in it. The text may declare them, so later uses are not reported as undefined.
+    """
 
     names: tuple[str, ...]
     span: Span

@@ -1,7 +1,7 @@
-"""Text -> tokens, split into sections: what stands at the left margin begins one.
+"""Tokeniser: text to tokens, split into sections. A line at the left margin begins a section.
 
-Lines, indentation, brackets, comments and continuation lines are settled here, so the grammar sees NEWLINE, INDENT
-and DEDENT only. A mistake in one section leaves the others readable.
+Resolves lines, indentation, brackets, comments and continuation lines, so the grammar sees only NEWLINE, INDENT and
+DEDENT. Sections are parsed separately, so an error in one does not affect the others.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import re
 from koordgen.lang.diagnostics import Diagnostic, Label
 from koordgen.lang.source import Source, Span
 
-# type (a literal's own text, or NAME GENERIC INT FLOAT STRING NEWLINE INDENT DEDENT BAD $END), text, line, column
+# type, text, line, column. The type of a keyword or mark is its own text; the others are NAME GENERIC INT FLOAT STRING
+# NEWLINE INDENT DEDENT BAD $END.
 Token = tuple[str, str, int, int]
 
 DEEPEST_BRACKETS = 100
 DEEPEST_BLOCKS = 30
 
-# Words of the language: they never become names.
+# Reserved words: they can never be names.
 KEYWORDS = frozenset(
     (
         "using", "sensors", "actuators", "assume", "param", "allread", "allwrite", "local", "init", "pre", "eff",
@@ -27,7 +28,7 @@ KEYWORDS = frozenset(
     )
 )  # fmt: skip
 GENERICS = frozenset(("List", "Map", "Set", "Queue"))
-# Words of the language in one place each, names elsewhere.
+# Soft keywords: keywords in one place each, names elsewhere.
 _SOFT = frozenset(("max", "type", "requires", "ensures", "priority", "as", "at", "clears"))
 _MARKS = frozenset(
     (
@@ -37,7 +38,8 @@ _MARKS = frozenset(
 )  # fmt: skip
 _BEFORE_PRIME = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_])'")
 
-# It has no groups, so that `findall` gives texts: a text alone says what it is, but for a single quote; see `kind_of`.
+# Without groups, so that `findall` returns texts. A text alone determines its kind, except for a single quote: see
+# `kind_of`.
 TOKEN = re.compile(
     r"[A-Za-z_][A-Za-z0-9_]*"
     r"|[ \t]+"
@@ -48,29 +50,32 @@ TOKEN = re.compile(
     r"|//=|\*\*=?|[-+*/%]=|//|<<|[=!<>]=|&&|\|\||->|[-+*/%<>=:.,()\[\]{}!]|(?<=[A-Za-z0-9_\])'])'"
     r"|\#[^\n]*"
     r"|\\[ \t]*\n"
-    r"|[0-9][A-Za-z0-9_.]*|[\"'][^\n]*|."  # what is wrong
+    r"|[0-9][A-Za-z0-9_.]*|[\"'][^\n]*|."  # anything else is an error
 )
-# What begins a line that no bracket reaches: the one before was not closed.
+# Beginnings of lines that cannot stand inside brackets. After such a line an open bracket counts as never closed.
 _BEGINS = re.compile(
     r"[ ]*(?:using|sensors|actuators|assume|param|allread|allwrite|local|init|pre|eff|def|fun|extern|spec|axiom"
     r"|invariant|initially|elif|for|while|break|continue|return|atomic|pass|stop)\b"
     r"|[ ]*(?:if\b[^\n]*|else[ \t]*):[ \t]*(?:[\n#])"
     r"|[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
 )
-# The same, but for `name = ` alone: it may be an argument of a call.
+# Likewise for assignments. But `name =` alone may also be an argument of a call.
 _ASSIGNS = re.compile(
     r"[ ]*[A-Za-z_][A-Za-z0-9_]*(?P<more>(?:\.[A-Za-z_][A-Za-z0-9_]*|\[[^\]\n]*\])*(?:[ ]+[A-Za-z_][A-Za-z0-9_]*)?)"
     r"[ \t]*(?:[-+*/%]|//|\*\*)?=(?!=)"
 )
-_NO_BRACES = "a block stands in no braces: its header ends with ':' and its lines are indented"
-GOES_ON = frozenset(("and", "or", "&&", "||"))  # no line begins with one
+_NO_BRACES = "blocks have no braces: end the header with ':' and indent the block's lines"
+CONTINUING = frozenset(("and", "or", "&&", "||"))  # a line that begins with one continues the line before
 _CLOSES = {")": "(", "]": "[", "}": "{"}
 _BRACKETS = frozenset("()[]{}")
 
 
 def kind_of(token: str) -> str:
-    """What a text is that TOKEN has found: NAME SPACE NEWLINE CONTINUED COMMENT INT FLOAT STRING MARK BAD. Of a
-    single quote only what stands before it says whether it is a MARK: here it is BAD."""
+    """Return the kind of a text that TOKEN matched.
+
+    Kinds: NAME SPACE NEWLINE CONTINUED COMMENT INT FLOAT STRING MARK BAD. A single quote may also be a MARK, depending
+    on the text before it; here it is BAD.
+    """
     first = token[0]
     if token in _MARKS:
         return "MARK"
@@ -100,8 +105,10 @@ def _is_float(token: str) -> bool:
 
 
 class _Kinds(dict[str, str | None]):
-    """By the text of a token, its type; None where more is to be done than to append it. For one text, so that what
-    it holds goes with it."""
+    """Cache: text of a token -> its type, or None if the token needs more work than to be appended.
+
+    Each source text has its own cache, so that memory is freed with it.
+    """
 
     def __missing__(self, token: str) -> str | None:
         kind = kind_of(token)
@@ -118,8 +125,11 @@ class _Kinds(dict[str, str | None]):
 
 
 class Chunk:
-    """The tokens of one section, `$END` last, INDENT and DEDENT paired; `faults` of its layout, each at a token of
-    it; `long` when a line of it is long enough to hold a tree too deep."""
+    """Tokens of one section. The last one is `$END`; INDENT and DEDENT are paired.
+
+    `faults` has the errors of its layout, each at one of its tokens. `long`: a line is so long that its tree may be
+    nested too deeply.
+    """
 
     __slots__ = ("faults", "long", "tokens")
 
@@ -130,7 +140,7 @@ class Chunk:
 
 
 def sections(source: Source) -> list[Chunk]:
-    """All sections of a text."""
+    """Return all sections of a text."""
     layout = _Layout()
     layout.read(source.text)
     return layout.chunks
@@ -141,13 +151,13 @@ class _Layout:
         self.chunks: list[Chunk] = []
         self.chunk = Chunk()
         self.indents = [0]
-        self.lines = [1]  # the first line of each block that is open
+        self.lines = [1]  # number of the first line of each open block
         self.brackets: list[Token] = []
 
     def read(self, text: str) -> None:
         line, line_start, column, indent, tab = 1, 0, 1, 0, -1
-        fresh = True  # nothing of this logical line has been seen
-        first = 0  # where in the chunk the logical line starts
+        fresh = True  # no token of this logical line has been seen
+        first = 0  # index of the logical line's first token in the chunk
         kinds = _Kinds()
         append = self.chunk.tokens.append
         for token in TOKEN.findall(text):
@@ -158,7 +168,7 @@ class _Layout:
                 if fresh:
                     indent, tab = len(token), token.find("\t")
             elif token[-1] == "\n":
-                if token == "\n" and (not self.brackets or self._abandoned(text, line_start + column)):
+                if token == "\n" and (not self.brackets or self._is_abandoned(text, line_start + column)):
                     if not fresh:
                         self._end_line(line, column, first)
                     fresh, indent, tab = True, 0, -1
@@ -167,7 +177,7 @@ class _Layout:
             elif token[0] != "#":
                 if fresh:
                     fresh = False
-                    if token not in GOES_ON or not self._goes_on(indent):
+                    if token not in CONTINUING or not self._continues(indent):
                         self._start_line(line, indent, tab)
                         first = len(self.chunk.tokens)
                         append = self.chunk.tokens.append
@@ -183,22 +193,25 @@ class _Layout:
         self._end_chunk(line, 1)
 
     def _special(self, token: str, before: str, line: int, column: int) -> str:
-        """The type of a token whose text alone does not settle everything; `before` is the character before it."""
+        """Return the type of a token that its text alone does not determine.
+
+        `before` is the character before it.
+        """
         if token in _BRACKETS:
             self._bracket((token, token, line, column))
             return token
         if token in _SOFT:
-            return self._soft(token)
+            return self._soft_keyword(token)
         if token == "'" and before in _BEFORE_PRIME:
             return token
-        # A string that its line does not close is told here: it may hide closing brackets.
-        self._report("K001", "this string is not closed", line, column, f"a string ends with {token[0]} on its line")
+        # Report an unclosed string here: it may hide closing brackets, so the open ones are dropped.
+        self._report("K001", "this string is not closed", line, column, f"end it with {token[0]} on the same line")
         self.brackets.clear()
         return "STRING"
 
     def _start_line(self, line: int, indent: int, tab: int) -> None:
         if tab >= 0:
-            self._report("K004", "a tab stands in the indentation", line, tab + 1, "indent with spaces")
+            self._report("K004", "the indentation contains a tab", line, tab + 1, "indent with spaces")
         if indent == 0:
             self._end_chunk(line, 1)
         elif indent > self.indents[-1]:
@@ -210,15 +223,17 @@ class _Layout:
         while indent < self.indents[-1]:
             left, begun = self.indents.pop(), self.lines.pop()
             if indent > self.indents[-1]:
-                self._between(line, indent, begun, left)
-                self.indents.append(indent)  # the innermost block goes on here
+                self._report_between(line, indent, begun, left)
+                self.indents.append(indent)  # the line counts as part of the inner block
                 self.lines.append(line)
                 break
             self.chunk.tokens.append(("DEDENT", "", line, indent + 1))
 
-    def _between(self, line: int, indent: int, begun: int, left: int) -> None:
-        """Report a line that stands less deep than the block that begins in line `begun`, and deeper than the one
-        around it."""
+    def _report_between(self, line: int, indent: int, begun: int, left: int) -> None:
+        """Report a line whose indentation lies between a block's and its parent's.
+
+        The block begins in line `begun` and is indented by `left` spaces.
+        """
         around = self.indents[-1]
         ends = f", or this line by {around} to end the block" if around else ""
         help = f"indent this line by {left} spaces as line {begun}, or line {begun} by {indent}{ends}"
@@ -247,17 +262,17 @@ class _Layout:
             if len(self.brackets) == DEEPEST_BRACKETS + 1:
                 self._report("K007", f"brackets are nested more than {DEEPEST_BRACKETS} deep", line, column)
         elif not self.brackets:
-            self._report("K006", f"'{text}' closes nothing", line, column, _NO_BRACES if text == "}" else "")
+            self._report("K006", f"'{text}' has no opening bracket", line, column, _NO_BRACES if text == "}" else "")
         else:
             opened = self.brackets.pop()
             if opened[1] != _CLOSES[text]:
                 while any(bracket[1] == _CLOSES[text] for bracket in self.brackets[-DEEPEST_BRACKETS:]):
-                    self.brackets.pop()  # it closes an outer one
+                    self.brackets.pop()  # the bracket closes an outer one
                 label = Label(Span(opened[2], opened[3], opened[2], opened[3] + 1), "opened here")
                 self._report("K006", f"'{text}' does not close '{opened[1]}'", line, column, labels=(label,))
 
-    def _abandoned(self, text: str, position: int) -> bool:
-        """Whether what follows a line end shows that the open brackets were forgotten; they are told then."""
+    def _is_abandoned(self, text: str, position: int) -> bool:
+        """Return whether the text after a line end shows that brackets were never closed; report them if so."""
         if _BEGINS.match(text, position) is None:
             assigns = _ASSIGNS.match(text, position)
             bracket, last = self.brackets[-1][0], self.chunk.tokens[-1][0]
@@ -274,22 +289,25 @@ class _Layout:
         help = _NO_BRACES if text == "{" and self.chunk.tokens[-1] == bracket else ""
         self._report("K006", f"'{text}' is never closed", line, column, help)
 
-    def _goes_on(self, indent: int) -> bool:
-        """Whether a line that begins with `and` or `or` belongs to the one before; its end is taken back then."""
+    def _continues(self, indent: int) -> bool:
+        """Return whether a line that begins with `and` or `or` continues the one before.
+
+        Remove that line's NEWLINE.
+        """
         tokens = self.chunk.tokens
         if not tokens or indent == 0 or indent < self.indents[-1]:
             return False
         tokens.pop()
         return True
 
-    def _soft(self, text: str) -> str:
-        """The type of the token of a word that is one of the language in one place only."""
+    def _soft_keyword(self, text: str) -> str:
+        """Return the type of a soft keyword's token."""
         tokens = self.chunk.tokens
         last = tokens[-1][0] if tokens else ""
-        if text == "max":  # behind `Type name` or `Type name[size]`
+        if text == "max":  # after `Type name` or `Type name[size]`
             before = tokens[-2][0] if len(tokens) > 1 else ""
             meant = before != "[" if last == "]" else last == "NAME" and before in ("NAME", ">", "]", ")")
-        elif text in ("as", "at", "clears"):  # behind `Type name` of a port, and the names of another mark
+        elif text in ("as", "at", "clears"):  # after `Type name` of a port, or after the names of another mark
             before = tokens[-2][0] if len(tokens) > 1 else ""
             named = last == "NAME" and before in ("NAME", ">", "]", ")", ",", "as", "at", "clears")
             meant = named and tokens[0][0] == "using"
@@ -306,6 +324,6 @@ class _Layout:
     ) -> None:
         faults = self.chunk.faults
         if faults and faults[-1].code == code and faults[-1].span.line == line:
-            return  # a million brackets that close nothing are one mistake
+            return  # report a repeated error once a line
         span = Span(line, column, line, column + 1)
         faults.append(Diagnostic(code, "error", message, span, labels, help))

@@ -1,7 +1,7 @@
 """LR driver: runs the generated LALR(1) tables over the tokens of one section.
 
-The driver does not walk the tables: it walks what they come to, worked out when first needed and kept. A chain of
-rules that only pass a value on (`NAME` is an atom, is a postfix, ... is an expression: twelve rules) is one step.
+The driver does not use the tables directly, but actions that are derived from them on demand and cached. A chain of
+rules that only pass a value on (`NAME` is an atom, is a postfix, ... is an expression: twelve rules) is one action.
 """
 
 from __future__ import annotations
@@ -18,22 +18,25 @@ from koordgen.lang.syntax.layout import DEEPEST_BLOCKS
 DEEPEST_TREE = 100
 
 
-class Stuck(Exception):
-    """No rule goes on at `tokens[position]`."""
+class UnexpectedToken(Exception):
+    """A syntax error: the parser cannot continue at `tokens[position]`."""
 
     def __init__(self, position: int) -> None:
         super().__init__(position)
         self.position = position
 
 
-def planned(state: int, symbol: str) -> int | None:
-    """What the tables say; None where nothing goes on."""
+def table_entry(state: int, symbol: str) -> int | None:
+    """Return the entry of the tables for a state and a symbol; None if there is none."""
     return STATES[state].get(symbol) if symbol != "BROKEN" else BROKEN.get(state)
 
 
 class _Row(dict[str, Any]):
-    """What a state does at a symbol: an int to shift to that state, a tuple `(top, make, after)` to reduce the slice
-    `top` of the stack, None for its last value only; None where it is stuck or has come to the end."""
+    """Cached actions of a state, by symbol.
+
+    An int: shift to that state. A tuple `(top, make, after)`: reduce the slice `top` of the stack; if `top` is None,
+    only the last value. None: a syntax error, or the end.
+    """
 
     __slots__ = ("state",)
 
@@ -41,15 +44,17 @@ class _Row(dict[str, Any]):
         self.state = state
 
     def __missing__(self, symbol: str) -> Any:
-        code = planned(self.state, symbol)
+        code = table_entry(self.state, symbol)
         action = code if code is None or code >= 0 else _reduction(-code - 1, symbol)
         self[symbol] = action
         return action
 
 
 class _After(dict[int, Any]):
-    """By the state below what was reduced to `made`: the state and the action at which the next symbol `ahead` finds
-    the parser, when all rules that only pass the value on are through."""
+    """Cached state after a reduction to `made`, by the state below it on the stack.
+
+    The value is the new state and its action for the next symbol `ahead`, after all rules that only pass the value on.
+    """
 
     __slots__ = ("ahead", "made")
 
@@ -86,7 +91,10 @@ def _splicing(make: Callable[[list[Any]], Any]) -> Callable[[list[Any]], Any]:
 
 
 def _spliced(children: list[Any]) -> list[Any]:
-    """The lists that `_rules` made, dissolved; the first one is used further, so that long blocks stay linear."""
+    """Splice the lists that `_rules` made into one.
+
+    Extends the first one in place, so long blocks take linear time.
+    """
     result: list[Any] = []
     for child in children:
         if child.__class__ is not list:
@@ -99,7 +107,7 @@ def _spliced(children: list[Any]) -> list[Any]:
 
 
 def run(tokens: Sequence[Any]) -> Any:
-    """The node of a section, from its tokens. Raises Stuck, and Refused for what only the builders see."""
+    """Parse the tokens of a section to a node. Raises Stuck, and Refused for errors that builders find."""
     rows = ROWS
     state = START
     states = [state]
@@ -121,7 +129,7 @@ def run(tokens: Sequence[Any]) -> Any:
                 states.append(state)
         if action is None:
             if state != END:
-                raise Stuck(position)
+                raise UnexpectedToken(position)
             return values[0]
         state = action
         states.append(state)
@@ -130,16 +138,18 @@ def run(tokens: Sequence[Any]) -> Any:
 
 
 def section(tokens: Sequence[Any], long: bool) -> Any:
-    """The node of a section. Raises Stuck and Refused."""
+    """Parse a section to a node, with a check of its depth if `long`. Raises Stuck and Refused."""
     node = run(tokens)
     if long:
-        measure(node)
+        check_depth(node)
     return node
 
 
-def measure(section: Node) -> None:
-    """Refuses what is nested so deeply that it would exhaust the passes that walk it recursively: expressions and
-    types, and blocks on one line (`while a: while b: ...`)."""
+def check_depth(section: Node) -> None:
+    """Raise Refused if a tree is nested too deeply for the recursive passes.
+
+    Counts expressions, types, and blocks on one line (`while a: while b: ...`).
+    """
     pending: list[tuple[Any, int, int]] = [(section, 0, 0)]
     while pending:
         node, blocks, depth = pending.pop()
@@ -151,7 +161,7 @@ def measure(section: Node) -> None:
         elif isinstance(node, (stmt.If, stmt.For, stmt.CountedFor, stmt.While, stmt.Atomic)):
             blocks += 1
         if blocks > DEEPEST_BLOCKS:
-            raise build.refused("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", node.span)
+            raise build.builder_error("K007", f"blocks are nested more than {DEEPEST_BLOCKS} deep", node.span)
         if depth > DEEPEST_TREE:
             raise too_deep(node.span)
         for field in type(node).__match_args__:
@@ -160,7 +170,7 @@ def measure(section: Node) -> None:
                 pending.append((child, blocks, depth))
 
 
-def too_deep(span: Span) -> build.Refused:
-    """To be raised: the expression there is nested too deeply."""
+def too_deep(span: Span) -> build.BuilderError:
+    """Make an exception to raise for an expression that is nested too deeply."""
     message = f"this expression is nested more than {DEEPEST_TREE} deep"
-    return build.refused("K007", message, span, "give parts of it names of their own")
+    return build.builder_error("K007", message, span, "assign parts of it to variables")

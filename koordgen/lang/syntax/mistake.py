@@ -1,14 +1,14 @@
-"""Says what is wrong where the parser cannot go on, in the words of the language."""
+"""Diagnostics of syntax errors."""
 
 from __future__ import annotations
 
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.syntax._generated.grammar import RULES, STATES
+from koordgen.lang.syntax.error_site import ErrorSite, column_after, place, shown, start_of_line
 from koordgen.lang.syntax.habits import HABITS, headers
 from koordgen.lang.syntax.layout import KEYWORDS, Token
 from koordgen.lang.syntax.marks import MARKS
-from koordgen.lang.syntax.spelling import misspelt
-from koordgen.lang.syntax.spot import Spot, behind, place, shown, start_of_line
+from koordgen.lang.syntax.spelling import misspelt_keyword
 
 _EXPRESSION = {"NAME", "INT", "FLOAT", "STRING", "True", "False", "(", "[", "{", "-", "not", "forall", "exists"}
 _STATEMENT = {
@@ -23,11 +23,11 @@ _OPERATORS = {
     "[", "(", "'",
 }  # fmt: skip
 _AUGMENTED = {"+=", "-=", "*=", "/=", "//=", "%=", "**="}
-_UNSAID = {"!", "&&", "||"}  # the 2020 dialect is understood, not proposed
+_UNSAID = {"!", "&&", "||"}  # the 2020 dialect: accepted, but not suggested
 _CONDITIONS = {
     "pre", "if", "elif", "while", "assume", "requires", "ensures", "invariant", "initially", "axiom", "return",
 }  # fmt: skip
-_MADE = {name for name, _, _ in RULES}  # symbols that are no tokens
+_MADE = {name for name, _, _ in RULES}  # nonterminal symbols
 _WORDS = {
     "NAME": "a name",
     "GENERIC": "a type",
@@ -42,117 +42,133 @@ _WORDS = {
 
 
 def explain(tokens: list[Token], position: int, states: list[int]) -> Diagnostic:
-    """The diagnostic for `tokens[position]`, with which the parser cannot go on.
+    """Return the diagnostic for `tokens[position]`, at which the parser cannot continue.
 
-    `states` is its stack behind the token before, when no rule is applied yet because of the refused one: an LALR
-    parser applies rules first and sees afterwards that a token does not fit; by then what would have fitted is lost.
+    `states` is the parser's stack after the previous token, before any reduction for the rejected one. An LALR parser
+    may reduce before it finds that a token does not fit; then the tokens that would have fitted are no longer known.
     """
-    spot = Spot(tokens, position, _acceptable(states))
-    for rule in (*MARKS, *HABITS, _indentation, _equals, misspelt, headers, _colon, _taken, _one_formula):
-        told = rule(spot)
-        if told is not None:
-            return told
-    return _expected(spot)
+    site = ErrorSite(tokens, position, _acceptable(states))
+    for rule in (
+        *MARKS,
+        *HABITS,
+        _indentation,
+        _equals,
+        misspelt_keyword,
+        headers,
+        _colon,
+        _reserved_word,
+        _one_formula,
+    ):
+        diagnostic = rule(site)
+        if diagnostic is not None:
+            return diagnostic
+    return _expected(site)
 
 
-def _indentation(spot: Spot) -> Diagnostic | None:
-    if spot.kind == "INDENT":
-        before = spot.tokens[start_of_line(spot.tokens, spot.position - 1)]
+def _indentation(site: ErrorSite) -> Diagnostic | None:
+    if site.kind == "INDENT":
+        before = site.tokens[start_of_line(site.tokens, site.position - 1)]
         depth = f"indent it by {before[3] - 1} spaces as line {before[2]}"
-        help = f"{depth}: only what belongs to a block stands deeper than the line before"
-        return spot.error("unexpected indentation", help, code="K008")
-    if spot.expected == {"INDENT"} and spot.position > 1:
-        colon = spot.tokens[spot.position - 2]
-        message = f"expected an indented block {_after(spot.tokens, spot.position - 2)}"
-        return spot.error(message, span=behind(colon), code="K008")
+        help = f"{depth}: only the lines of a block are indented deeper than the line before"
+        return site.error("unexpected indentation", help, code="K008")
+    if site.expected == {"INDENT"} and site.position > 1:
+        colon = site.tokens[site.position - 2]
+        message = f"expected an indented block {_after(site.tokens, site.position - 2)}"
+        return site.error(message, span=column_after(colon), code="K008")
     return None
 
 
-def _equals(spot: Spot) -> Diagnostic | None:
-    """`=` where nothing is assigned."""
-    if spot.kind != "=" or "==" not in spot.expected:
+def _equals(site: ErrorSite) -> Diagnostic | None:
+    """Report `=` in a place where nothing can be assigned."""
+    if site.kind != "=" or "==" not in site.expected:
         return None
-    if any(token[0] == "=" or token[0] in _AUGMENTED for token in spot.head) and not spot.bracket:
-        help = "write one assignment a line"
-        return spot.error("an assignment has no value and cannot stand in another one", help)
-    if spot.bracket or _governing(spot) in _CONDITIONS:
-        return spot.error("'=' assigns and cannot stand in a condition", "'==' compares")
-    return spot.error("what stands before '=' cannot be assigned", span=place(spot.head[0], spot.head[-1]))
+    if any(token[0] == "=" or token[0] in _AUGMENTED for token in site.head) and not site.bracket:
+        help = "write each assignment on its own line"
+        return site.error("an assignment has no value and cannot be part of another one", help)
+    if site.bracket or _line_keyword(site) in _CONDITIONS:
+        return site.error("'=' assigns and cannot be used in a condition", "'==' compares")
+    return site.error("the left side of '=' cannot be assigned", span=place(site.head[0], site.head[-1]))
 
 
-def _governing(spot: Spot) -> str:
-    """The word that says what the line is: its first, or that of the header above a deeper line."""
-    tokens, start = spot.tokens, spot.start
-    for token in reversed(spot.head):  # `E: pre: a = 3` begins with another word
+def _line_keyword(site: ErrorSite) -> str:
+    """Return the keyword that determines the kind of a line.
+
+    It is the line's first word, or that of the header above its block.
+    """
+    tokens, start = site.tokens, site.start
+    for token in reversed(site.head):  # `E: pre: a = 3` begins with the event's name
         if token[0] in _CONDITIONS:
             return token[0]
     if start > 2 and [token[0] for token in tokens[start - 3 : start]] == [":", "NEWLINE", "INDENT"]:
-        above = Spot(tokens, start - 3, set())
+        above = ErrorSite(tokens, start - 3, set())
         return above.first[0]
-    return spot.first[0]
+    return site.first[0]
 
 
-def _colon(spot: Spot) -> Diagnostic | None:
-    """A header without its colon."""
-    if ":" not in spot.expected or spot.bracket:
+def _colon(site: ErrorSite) -> Diagnostic | None:
+    """Report a header without a colon."""
+    if ":" not in site.expected or site.bracket:
         return None
-    if spot.expected != {":"} and any(token[0] == ":" for token in spot.rest):
-        return None  # the colon is there: something else is wrong before it
-    span = behind(spot.before) if spot.before is not None else spot.span
+    if site.expected != {":"} and any(token[0] == ":" for token in site.rest):
+        return None  # the colon exists, so the error is something before it
+    span = column_after(site.before) if site.before is not None else site.span
     help = ""
-    header = spot.tokens[-1] if spot.ends else (spot.rest or [spot.first])[-1]
-    deeper = any(token[0] == "INDENT" for token in spot.tokens[: spot.position + 2])
-    if spot.start == 0 and spot.first[0] == "NAME" and header[0] != ":" and not deeper:
-        help = _outside(spot)
-    return spot.error(f"expected ':' {_after(spot.tokens, spot.position)}", help, span)
+    header = site.tokens[-1] if site.ends else (site.rest or [site.first])[-1]
+    deeper = any(token[0] == "INDENT" for token in site.tokens[: site.position + 2])
+    if site.start == 0 and site.first[0] == "NAME" and header[0] != ":" and not deeper:
+        help = _margin_help(site)
+    return site.error(f"expected ':' {_after(site.tokens, site.position)}", help, span)
 
 
-def _outside(spot: Spot) -> str:
-    """What may have been meant by a line at the left margin that is no header."""
-    kinds = [token[0] for token in spot.tokens[: spot.position + 2]]
+def _margin_help(site: ErrorSite) -> str:
+    """Return a help for a line at the left margin that is not a header."""
+    kinds = [token[0] for token in site.tokens[: site.position + 2]]
     if kinds[:2] == ["NAME", "="] or kinds[:2] == ["NAME", "NAME"]:
         return "a variable is declared under 'local:', 'allread:' or 'allwrite:'"
-    return "a statement stands under 'init:' or an event's 'eff:'"
+    return "write a statement under 'init:' or an event's 'eff:'"
 
 
-def _taken(spot: Spot) -> Diagnostic | None:
-    """A word of the language where a name is to be."""
-    word = spot.kind in KEYWORDS or spot.kind == "GENERIC" or (spot.kind == spot.text and spot.text.isalpha())
+def _reserved_word(site: ErrorSite) -> Diagnostic | None:
+    """Report a reserved word in place of a name."""
+    word = site.kind in KEYWORDS or site.kind == "GENERIC" or (site.kind == site.text and site.text.isalpha())
     if not word:
         return None
-    named = spot.expected == {"NAME"} or (
-        "NAME" in spot.expected and (spot.next in ("=", "NEWLINE", "[", ")") or spot.next in _AUGMENTED)
+    named = site.expected == {"NAME"} or (
+        "NAME" in site.expected and (site.next in ("=", "NEWLINE", "[", ")") or site.next in _AUGMENTED)
     )
-    if named and not (spot.kind == "GENERIC" and spot.next == "["):
-        help = f"'{spot.text}' is a word of the language; choose another name"
-        return spot.error(f"expected a name, found '{spot.text}'", help)
+    if named and not (site.kind == "GENERIC" and site.next == "["):
+        help = f"'{site.text}' is a keyword of Koord; choose another name"
+        return site.error(f"expected a name, found '{site.text}'", help)
     return None
 
 
-def _one_formula(spot: Spot) -> Diagnostic | None:
-    """A second line under `pre:` or the header of a property."""
-    if spot.expected == {"DEDENT"}:
-        return spot.error("a condition is one expression", "join conditions with 'and' or 'or'")
+def _one_formula(site: ErrorSite) -> Diagnostic | None:
+    """Report a second expression under `pre:` or under the header of a property."""
+    if site.expected == {"DEDENT"}:
+        return site.error("a condition is one expression", "join conditions with 'and' or 'or'")
     return None
 
 
-def _expected(spot: Spot) -> Diagnostic:
-    found = f"found '{shown(spot.text)}'" if spot.text else f"found {_WORDS.get(spot.kind, spot.kind)}"
-    after = f" after '{shown(spot.before[1])}'" if spot.before is not None and spot.before[1] else ""
+def _expected(site: ErrorSite) -> Diagnostic:
+    found = f"found '{shown(site.text)}'" if site.text else f"found {_WORDS.get(site.kind, site.kind)}"
+    after = f" after '{shown(site.before[1])}'" if site.before is not None and site.before[1] else ""
     help = ""
-    if spot.ends and spot.wants_expression and spot.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
-        help = "a line goes on after '\\', inside brackets, or where the next one begins with 'and' or 'or'"
-    return spot.error(f"expected {_list(spot.expected)}{after}, {found}", help)
+    if site.ends and site.wants_expression and site.before_is(*_OPERATORS, "=", "||", "&&", *_AUGMENTED):
+        help = "a line continues after '\\', inside brackets, or if the next one begins with 'and' or 'or'"
+    return site.error(f"expected {_list(site.expected)}{after}, {found}", help)
 
 
 def _acceptable(states: list[int]) -> set[str]:
-    """The tokens with which the parser could go on; a table's row alone also names some that fail later."""
+    """Return the tokens that the parser accepts next.
+
+    A row of the table alone includes some that fail later.
+    """
     return {symbol for symbol in STATES[states[-1]] if symbol not in _MADE and _accepts(states, symbol)}
 
 
 def _accepts(states: list[int], symbol: str) -> bool:
     top: list[int] = []
-    kept = len(states)  # the stack is the first `kept` states, then `top`: it may be too long to copy
+    kept = len(states)  # the stack is `states[:kept] + top`; it may be too long to copy
     while True:
         action = STATES[top[-1] if top else states[kept - 1]].get(symbol)
         if action is None:
@@ -167,7 +183,7 @@ def _accepts(states: list[int], symbol: str) -> bool:
 
 
 def _after(tokens: list[Token], position: int) -> str:
-    """`after 'pre'`, `after 'using Motion'`: the header before a token, at most its first words."""
+    """Return a phrase for the header before a token: `after 'pre'`, `after 'using Motion'`."""
     first = position
     while first and tokens[first - 1][0] not in ("NEWLINE", "INDENT", "DEDENT", ":"):
         first -= 1
@@ -186,7 +202,10 @@ def _after(tokens: list[Token], position: int) -> str:
 
 
 def _list(expected: set[str]) -> str:
-    """The acceptable tokens in words: what they begin first, then the marks; never many."""
+    """Return the accepted tokens as text: first phrases for the constructs that they begin, then marks.
+
+    The text has at most four of them.
+    """
     expected = expected - _UNSAID
     groups = []
     if "using" in expected:
@@ -207,9 +226,9 @@ def _list(expected: set[str]) -> str:
         expected = expected - _AUGMENTED if "=" in expected else expected
         expected = expected - {"NAME"}
     if len(expected) > 1:
-        expected = expected - {"[", "max"}  # what may always follow is not what is missed
+        expected = expected - {"[", "max"}  # optional parts are rarely what is missing
     if "in" in expected:
-        expected = expected - {"="}  # of the 2020 dialect
+        expected = expected - {"="}  # only in the 2020 dialect
     groups += [_WORDS.get(symbol, f"'{symbol}'") for symbol in sorted(expected, key=lambda s: (s in _WORDS, s))]
     groups = list(dict.fromkeys(groups))
     if len(groups) > 4:

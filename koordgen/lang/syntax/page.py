@@ -1,7 +1,7 @@
-"""Writes docs/reference/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`; `--check` only tells whether
-that is due.
+"""Generator of docs/reference/grammar.md from koord.lark: `python -m koordgen.lang.syntax.page`.
 
-What serves the machine alone is left out: the names of functions, the marks of inlining, and what stands for mistakes.
+With `--check` it only reports whether the page is out of date. The page leaves out technical parts of the grammar:
+names of functions, marks for inlining, and rules for error recovery.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ each construct. A program is a sequence of sections, each beginning at the left 
 | `"word"` | stands for itself |
 | `a*`, `a+`, `a?` | none or more, one or more, one or none |
 | `a` \\| `b` | either |
-| a `suite` of items | one on the header's line, or several on deeper lines, or both |
+| a `suite` of items | one on the header's line, or several on indented lines, or both |
 | NEWLINE | ends a line outside of brackets that does not end in `\\` |
-| INDENT, DEDENT | lines begin to be deeper, and cease to be |
+| INDENT, DEDENT | the indentation of lines increases, and decreases |
 
 | | |
 |---|---|
-| NAME | a letter or `_`, then letters, digits, `_` (ASCII); no word of the language |
+| NAME | a letter or `_`, then letters, digits, `_` (ASCII); not a keyword |
 | GENERIC | `List`, `Map`, `Set`, `Queue` |
 | INT | digits, not beginning with 0 unless it is 0; at most 2^63 - 1 |
 | FLOAT | `1.5`, `.5`, `1e-3`, `2.5E+6` |
-| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; behind a name, `]`, `)`, `'` is a prime |
+| STRING | `"..."` or `'...'` on a line; `\\"`, `\\'`, `\\\\`, `\\n`, `\\t`; after a name, `]`, `)`, `'` it is a prime |
 """
 _RULE = re.compile(r"^\??(_?[a-z][a-z_]*)(\{item\})?: (.*)$", re.DOTALL)
 
 
 def page(grammar: str) -> str:
-    """The page's text."""
+    """Return the text of the page."""
     parts = [_HEAD]
     for title, rules in _sections(grammar):
         parts.append(f"\n## {title}\n\n```\n" + "\n".join(map(_shown, rules)) + "\n```\n")
@@ -50,7 +50,10 @@ def page(grammar: str) -> str:
 
 
 def _sections(grammar: str) -> Iterator[tuple[str, list[str]]]:
-    """Title -> its rules, each with all its lines; a comment that begins with a capital is a title."""
+    """Yield each title with its rules, each with all its lines.
+
+    A comment with a capital initial is a title.
+    """
     title, rules = "Program", list[str]()
     for line in grammar.split("\n"):
         if line.startswith("// ") and rules and line[3].isupper() and not rules[-1].startswith("//"):

@@ -1,4 +1,4 @@
-"""Parser: text to syntax tree, one section at a time, with recovery from mistakes."""
+"""Parser: text to syntax tree, one section at a time, with error recovery."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from koordgen.lang.diagnostics import Diagnostic, in_order
 from koordgen.lang.source import Source
 from koordgen.lang.syntax import build, decl
 from koordgen.lang.syntax.layout import sections
-from koordgen.lang.syntax.lr import Stuck, section
+from koordgen.lang.syntax.lr import UnexpectedToken, section
 
 
 def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
-    """The tree of a text and what is wrong with it. What could not be read stands in the tree as broken nodes, and
-    the text is right when nothing was found."""
+    """Return the syntax tree of a text and its diagnostics.
+
+    Text that could not be parsed is in the tree as broken nodes. Without diagnostics the text is right.
+    """
     collecting = gc.isenabled()
     gc.disable()  # a tree has no cycles; collecting while it grows doubles the time of a long program
     try:
@@ -22,12 +24,12 @@ def parse(source: Source) -> tuple[decl.Program, list[Diagnostic]]:
         read: list[Any] = []
         found: list[Diagnostic] = []
         for chunk in chunks:
-            wrong: Stuck | build.Refused | None = None
+            wrong: UnexpectedToken | build.BuilderError | None = None
             if not chunk.faults:
                 try:
                     read.append(section(chunk.tokens, chunk.long))
                     continue
-                except (Stuck, build.Refused) as error:
+                except (UnexpectedToken, build.BuilderError) as error:
                     wrong = error
             from koordgen.lang.syntax.recover import recovered
 

@@ -1,4 +1,4 @@
-"""Syntax tree -> text, one node a line, for `koordgen dump --after parse`."""
+"""Printer of syntax trees, one node a line, for `koordgen dump --after parse`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _PLACES = ("span", "name_span", "op_span", "def_span")
 
 
 def show(tree: Node) -> str:
-    """Every node with its line and column; children stand below it, two spaces deeper."""
+    """Return a tree as text: each node with its line and column, its children below it, two spaces deeper."""
     lines: list[str] = []
     pending: list[tuple[Any, int, str]] = [(tree, 0, "")]
     while pending:
@@ -27,7 +27,10 @@ def show(tree: Node) -> str:
 
 
 def _children(value: Any, field: str) -> Iterator[tuple[Node, str]]:
-    """The nodes in a field, each with what it is there; what holds none is shown beside the node's class."""
+    """Yield the nodes in a field, each with its role.
+
+    Fields without nodes are shown on their parent's line.
+    """
     if isinstance(value, Node):
         yield value, f"{field}: "
     elif isinstance(value, tuple):

@@ -1,8 +1,8 @@
-"""Reads on after a mistake: what is wrong is replaced in the tokens by BROKEN, and the section is parsed again.
+"""Error recovery: replaces wrong tokens by the token BROKEN, and parses the section again.
 
-What is replaced is a line at most, or a block where its header says nothing. Which replacement fits is asked of the
-tables: each candidate, the one that keeps most first, is run from the state before its line. Right programs never
-come here, so nothing here has to be fast, only linear; a section is parsed once more for each mistake in it.
+At most a line is replaced, or a block if its header cannot be recovered. The replacement is found by trial: each
+candidate, beginning with the one that keeps most tokens, is run from the parser's state before its line. Only programs
+with errors come here, so this code need not be fast, only linear; a section is parsed once more for each error in it.
 """
 
 from __future__ import annotations
@@ -16,31 +16,35 @@ from koordgen.lang.syntax import build, decl
 from koordgen.lang.syntax._generated.grammar import START, STATES
 from koordgen.lang.syntax.build import token_span
 from koordgen.lang.syntax.layout import Chunk
-from koordgen.lang.syntax.lr import DEEPEST_TREE, ROWS, Stuck, section, too_deep
+from koordgen.lang.syntax.lr import DEEPEST_TREE, ROWS, UnexpectedToken, section, too_deep
 from koordgen.lang.syntax.mistake import explain
 
-MOST_FAULTS = 30  # told of one text
-_DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than any tree and any blocks that are allowed need
+MOST_FAULTS = 30  # diagnostics reported for one text
+_DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than the deepest allowed tree needs
 
 _MARGINS = ("NEWLINE", "INDENT", "DEDENT")
 _DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
 _CATCHING = ("except", "catch", "finally")
-_NAMED = ("using", "def", "invariant", "axiom")  # headers of a word and a name
+_NAMED = ("using", "def", "invariant", "axiom")  # keywords of headers with a name
 
 Tokens = list[Any]
 States = list[int]
 
 
-def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Refused | None) -> decl.Section:
-    """The node of a section in which something is wrong: its layout, or what ended the first try. What is, is added to
-    `found`, up to MOST_FAULTS of them."""
+def recovered(
+    chunk: Chunk, found: list[Diagnostic], wrong: UnexpectedToken | build.BuilderError | None
+) -> decl.Section:
+    """Return the node of a section with errors: in its layout, or `wrong`, which ended the first attempt.
+
+    Adds their diagnostics to `found`, up to MOST_FAULTS.
+    """
     repair = _Repair(chunk, found)
     faults = sorted(chunk.faults, key=_place, reverse=True)
     while not repair.hopeless:
         if wrong is None and faults and repair.readable(faults[-1]):
             repair.fault(faults.pop())
         elif wrong is not None:
-            if isinstance(wrong, Stuck):
+            if isinstance(wrong, UnexpectedToken):
                 repair.stuck(wrong.position)
             else:
                 repair.fault(wrong.diagnostic)
@@ -48,55 +52,55 @@ def recovered(chunk: Chunk, found: list[Diagnostic], wrong: Stuck | build.Refuse
         else:
             try:
                 return section(repair.tokens, chunk.long)  # type: ignore[no-any-return]
-            except (Stuck, build.Refused) as error:
+            except (UnexpectedToken, build.BuilderError) as error:
                 wrong = error
     first = chunk.tokens[0]
     return decl.BrokenSection(_names(chunk.tokens), Span(first[2], first[3], first[2], first[3] + len(first[1])))
 
 
 class _Repair:
-    """The tokens of a section, as far as they are repaired. Every step tells of a mistake or gives up."""
+    """Tokens of a section while they are repaired. Each step reports an error or gives up."""
 
     def __init__(self, chunk: Chunk, found: list[Diagnostic]) -> None:
         self.tokens: Tokens = list(chunk.tokens)
         self.found = found
-        self.touched: dict[int, int] = {}  # how often a line of the text was repaired
-        self.told: set[tuple[int, int]] = set()  # the places that were told of
-        self.tried = False  # a `try` was told of: what catches for it is its echo
-        self.muted = False  # the indentation is not what it looks like
+        self.touched: dict[int, int] = {}  # line number -> number of repairs in it
+        self.reported: set[tuple[int, int]] = set()  # positions of reported errors
+        self.tried = False  # a `try` was reported, so its `except` is not
+        self.muted = False  # tabs in the indentation: later errors may be consequences
         self.hopeless = len(found) == MOST_FAULTS
         kinds = {token[0] for token in chunk.tokens}
-        self.headless = chunk.tokens[0][0] == "NAME" and not kinds & {"pre", "eff"}  # hardly an event
+        self.headless = chunk.tokens[0][0] == "NAME" and not kinds & {"pre", "eff"}  # probably not an event
 
     def readable(self, diagnostic: Diagnostic) -> bool:
-        """Whether all that stands before the line of a diagnostic is right by now."""
+        """Return whether all text before the line of a diagnostic can be parsed by now."""
         start = _start(self.tokens, self._position(diagnostic))
         return _advanced([START], self.tokens[:start]) is not None
 
     def _position(self, diagnostic: Diagnostic) -> int:
-        """Of the token at which the span begins; of an INDENT only where blocks are too deep."""
+        """Return the index of the token at which the span begins. It is an INDENT only if blocks are too deep."""
         where = _place(diagnostic)
         margins = ("DEDENT",) if diagnostic.code == "K007" else ("INDENT", "DEDENT")
         ahead = (i for i, token in enumerate(self.tokens) if token[2:4] >= where and token[0] not in margins)
         return next(ahead, len(self.tokens) - 1)
 
     def fault(self, diagnostic: Diagnostic) -> None:
-        """What the layout or a builder found."""
+        """Report and repair an error that the layout or a builder found."""
         position = self._position(diagnostic)
-        told = self._tell(diagnostic, position)
+        reported = self._report(diagnostic, position)
         if diagnostic.code == "K004":
             self.muted = True
         elif diagnostic.code == "K005":
-            if told:
+            if reported:
                 self._rejoin(position)
-        elif self.tokens[position][0] == "INDENT":  # blocks too deep
+        elif self.tokens[position][0] == "INDENT":  # blocks are nested too deeply
             end = _block_end(self.tokens, position)
             self.tokens[position + 1 : end - 1] = [_broken(self.tokens[position:end]), self.tokens[position - 1]]
         else:
             self._line(position, colon=False)
 
     def stuck(self, position: int) -> None:
-        """What the parser cannot go on with."""
+        """Report and repair a syntax error."""
         states = _advanced([START], self.tokens[:position])
         kind = self.tokens[position][0]
         if self.muted or states is None:
@@ -104,13 +108,13 @@ class _Repair:
             return
         blockless = position > 0 and _wants_block(states)
         ended = not blockless and (kind in ("DEDENT", "$END") or _fits(states, [], ("$END",)))
-        if ended and self.touched:  # repairs have left too little or too much
+        if ended and self.touched:  # earlier repairs removed or kept too much
             self.hopeless = True
             return
         if len(states) > _DEEPEST_STACK:
-            first = self._tell(too_deep(token_span(self.tokens[position])).diagnostic, position)
+            first = self._report(too_deep(token_span(self.tokens[position])).diagnostic, position)
         else:
-            first = self._tell(explain(self.tokens, position, states), position)
+            first = self._report(explain(self.tokens, position, states), position)
         if kind == "INDENT":
             self._deeper(position, states)
         elif kind in ("pre", "eff") and self.tokens[0][0] == "priority" and _awaits_event(states):
@@ -122,23 +126,28 @@ class _Repair:
         else:
             self._line(position, colon=first)
 
-    def _tell(self, diagnostic: Diagnostic, position: int) -> bool:
-        """Whether this is the first mistake in its line: a second one may be an echo and is not told, and no more is
-        another one at the same place, which may be a header above."""
+    def _report(self, diagnostic: Diagnostic, position: int) -> bool:
+        """Report an error, and return whether it is the first one in its line.
+
+        A further error in the same line or at the same position may be a consequence of the first and is not reported.
+        """
         first = self.tokens[_start(self.tokens, position)]
         line = first[2]
         echo = self.muted or (self.tried and first[1] in _CATCHING)
         self.tried |= first[1] == "try"
         times = self.touched[line] = self.touched.get(line, 0) + 1
         where = _place(diagnostic)
-        if times == 1 and where not in self.told and not echo and len(self.found) < MOST_FAULTS:
+        if times == 1 and where not in self.reported and not echo and len(self.found) < MOST_FAULTS:
             self.found.append(diagnostic)
-            self.told.add(where)
+            self.reported.add(where)
         self.hopeless |= self.headless or times > 3 or len(self.found) == MOST_FAULTS
         return times == 1
 
     def _rejoin(self, position: int) -> None:
-        """A line between two blocks: it belongs to the inner one, unless only the outer one can hold it."""
+        """Repair a line between the indentations of two blocks.
+
+        It joins the inner block, unless only the outer one can hold it.
+        """
         states = _advanced([START], self.tokens[:position])
         line = self.tokens[position]
         if states is not None and not _fits(states, [], line) and _fits(states, [("DEDENT",)], line):
@@ -146,21 +155,21 @@ class _Repair:
             self.tokens.insert(position, self.tokens.pop(end))
 
     def _deeper(self, position: int, states: States) -> None:
-        """Lines deeper than they may be: they are taken as if they were not, unless none can stand there."""
+        """Repair lines that are too deep: remove their extra indentation, or the lines if they fit nowhere."""
         end = _block_end(self.tokens, position)
         self.tokens[position:end] = (
             self.tokens[position + 1 : end - 1] if _fits(states, [], self.tokens[position + 1]) else []
         )
 
     def _nameless(self, position: int) -> None:
-        """Clauses without the name of their event: they are left out together."""
+        """Remove clauses that lack the name of their event."""
         end = position
         while self.tokens[end][0] in ("pre", "eff"):
             end = _next_line(self.tokens, end)
         del self.tokens[position:end]
 
     def _no_block(self, position: int, states: States) -> None:
-        """A header without a block: the lines that follow are taken for it as far as they can stand nowhere else."""
+        """Repair a header without a block: the following lines become its block if they fit nowhere else."""
         end = position - 1
         hole = [_broken(self.tokens[_start(self.tokens, end) : end]), self.tokens[end]]
         before = _advanced([START], self.tokens[:end])
@@ -180,7 +189,7 @@ class _Repair:
             self.hopeless = True
 
     def _line(self, position: int, colon: bool) -> None:
-        """Replaces what is wrong in the line by the first candidate that fits."""
+        """Replace the wrong part of a line by the first candidate that can be parsed."""
         start = _start(self.tokens, position)
         end = start
         while self.tokens[end][0] not in (*_MARGINS, "$END"):
@@ -203,7 +212,10 @@ class _Repair:
     def _candidates(
         self, start: int, position: int, end: int, block: int, colon: bool
     ) -> Iterator[tuple[Tokens, bool]]:
-        """What may stand for `tokens[start:end]`, and whether the block below stays; what keeps most comes first."""
+        """Yield replacements for `tokens[start:end]`, those that keep most first.
+
+        Each comes with whether the block below is kept.
+        """
         tokens = self.tokens
         if colon and _depth(tokens[start:position]) == 0:
             yield [*tokens[start:position], _mark(":", tokens[position]), *tokens[position:end]], True
@@ -212,7 +224,7 @@ class _Repair:
         prefix = [token for part in parts[:bad] for token in part]
         part, rest = parts[bad], [token for later in parts[bad + 1 :] for token in later]
         hole = [_broken(tokens[start:end])]
-        of_loop = part[0][0] == "invariant" and start > 0  # no header, whatever marks stand in it
+        of_loop = part[0][0] == "invariant" and start > 0  # a loop invariant is not a header, even with a colon
         if (part[-1][0] == ":" or block > end + 1) and not of_loop:
             for head in _heads(part, hole[0], tokens[block], {token[0] for token in tokens}):
                 for tail in (rest, hole, []):
@@ -230,7 +242,7 @@ def _place(diagnostic: Diagnostic) -> tuple[int, int]:
 
 
 def _heads(part: Tokens, hole: Any, after: Any, present: set[str]) -> Iterator[Tokens]:
-    """Headers that may have been meant by one that cannot be read; `after` follows its block."""
+    """Yield headers that an unreadable header may stand for. `after` is the token after its block."""
     first = part[0]
     colon = _mark(":", part[-1])
     function = first[0] == "def" and any(token[0] in ("(", "->") for token in part)  # as in Python
@@ -247,7 +259,7 @@ def _heads(part: Tokens, hole: Any, after: Any, present: set[str]) -> Iterator[T
 
 
 def _clauses(part: Tokens, present: set[str]) -> Iterator[Tokens]:
-    """The clauses that an event lacks: a line among its clauses that is none was to be one of them."""
+    """Yield headers of the clauses that an event lacks: an unknown clause may stand for one of them."""
     for word in ("eff", "pre"):
         if word not in present:
             yield [_mark(word, part[0]), _mark(":", part[0])]
@@ -258,7 +270,7 @@ def _fits(states: States, between: Tokens, token: Any) -> bool:
 
 
 def _follows(states: States, token: Any) -> bool:
-    """Whether the line's end is right: a block follows where one must, and only where one may."""
+    """Return whether the token after a line fits: a block if and only if one is required there."""
     if token[0] in ("INDENT", "DEDENT", "$END"):
         return _fits(states, [], token)
     return not _wants_block(states)
@@ -274,11 +286,14 @@ def _wants_block(states: States) -> bool:
 
 
 def _advanced(states: States, tokens: Sequence[Any]) -> States | None:
-    """The stack of states behind the tokens; None when they do not fit. `$END` fits where the section is complete."""
+    """Return the parser's stack after the tokens, or None if they do not fit.
+
+    `$END` fits a complete section.
+    """
     stack = list(states)
     for token in tokens:
         action = ROWS[stack[-1]][token[0]]
-        while action.__class__ is tuple:  # as `run` goes, without the values
+        while action.__class__ is tuple:  # as in `lr.run`, without values
             top, _, after = action
             if top is None:
                 stack[-1], action = after[stack[-2]]
@@ -294,7 +309,7 @@ def _advanced(states: States, tokens: Sequence[Any]) -> States | None:
 
 
 def _start(tokens: Tokens, position: int) -> int:
-    """Where the line of a token starts; a token that makes the margin belongs to the line before."""
+    """Return the index of the first token of a line. INDENT and DEDENT belong to the line before."""
     while position and tokens[position][0] in ("INDENT", "DEDENT", "$END"):
         position -= 1
     while position and tokens[position - 1][0] not in _MARGINS:
@@ -303,14 +318,14 @@ def _start(tokens: Tokens, position: int) -> int:
 
 
 def _next_line(tokens: Tokens, position: int) -> int:
-    """Behind the line that starts at `position` and the block below it."""
+    """Return the index after the line that starts at `position`, and after its block."""
     while tokens[position][0] != "NEWLINE":
         position += 1
     return _block_end(tokens, position + 1) if tokens[position + 1][0] == "INDENT" else position + 1
 
 
 def _block_end(tokens: Tokens, position: int) -> int:
-    """Behind the DEDENT that closes the block in which `tokens[position]` stands or which it opens."""
+    """Return the index after the end of the block that `tokens[position]` is in, or opens."""
     depth = 0 if tokens[position][0] == "INDENT" else 1
     while True:
         depth += {"INDENT": 1, "DEDENT": -1}.get(tokens[position][0], 0)
@@ -320,8 +335,7 @@ def _block_end(tokens: Tokens, position: int) -> int:
 
 
 def _parts(line: Tokens) -> list[Tokens]:
-    """The line cut behind each colon that is neither in brackets nor a quantifier's: headers, and what stands behind
-    them."""
+    """Split a line into headers and the rest: after each colon outside of brackets and quantifiers."""
     parts: list[Tokens] = [[]]
     depth = quantifiers = 0
     cut = False
@@ -345,7 +359,7 @@ def _mark(word: str, place: Any) -> Any:
 
 
 def _broken(tokens: Tokens) -> Any:
-    """The token for what cannot be read; see `build.broken`."""
+    """Make the BROKEN token for text that cannot be parsed; see `build.broken`."""
     first = tokens[0]
     last = [token for token in tokens if token[2] == first[2]][-1]
     names = [token for token in tokens if token[0] == "NAME"]
@@ -355,6 +369,6 @@ def _broken(tokens: Tokens) -> Any:
 
 
 def _names(tokens: Tokens) -> tuple[str, ...]:
-    """Every name that stands there, once."""
+    """Return all names in the tokens, each once."""
     known = [name for token in tokens if token[0] == "BROKEN" for name in token[4]]
     return tuple(dict.fromkeys([token[1] for token in tokens if token[0] == "NAME"] + known))

@@ -1,12 +1,12 @@
-"""Words of the language that were spelt wrongly."""
+"""Errors for misspelt keywords."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.syntax.error_site import ErrorSite, place, shown
 from koordgen.lang.syntax.layout import KEYWORDS, Token
-from koordgen.lang.syntax.spot import Spot, place, shown
 
 _SECTIONS = (
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
@@ -18,28 +18,31 @@ _STATEMENTS = (
 _RIGHT = frozenset(("int", "float", "bool", "string", "print", "form", "list", "and", "or", "not", "in", "is"))
 
 
-def misspelt(spot: Spot) -> Diagnostic | None:
-    """A name near a word of the language: the refused one, the one before, the line's first, or the section's."""
-    tokens = spot.tokens
-    last = tokens[spot.position]
-    tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(spot.expected & (KEYWORDS | {"requires", "ensures"})))]
-    if spot.before is not None and spot.kind in ("NAME", "not", "forall", "exists"):
-        tries.append((spot.before, ("forall", "exists", "not", "in")))
-    if spot.start < spot.position:
-        tries.append((spot.first, _beginning(spot)))
-    if {"pre", "eff"} & spot.expected:
+def misspelt_keyword(site: ErrorSite) -> Diagnostic | None:
+    """Report a misspelt keyword.
+
+    Candidates are the rejected token, the one before, the line's first, and the section's first.
+    """
+    tokens = site.tokens
+    last = tokens[site.position]
+    tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(site.expected & (KEYWORDS | {"requires", "ensures"})))]
+    if site.before is not None and site.kind in ("NAME", "not", "forall", "exists"):
+        tries.append((site.before, ("forall", "exists", "not", "in")))
+    if site.start < site.position:
+        tries.append((site.first, _beginning(site)))
+    if {"pre", "eff"} & site.expected:
         tries.append((tokens[0], _SECTIONS))
     for token, choices in tries:
-        meant = _near(token[1], choices) if token[0] == "NAME" else ""
+        meant = _similar_keyword(token[1], choices) if token[0] == "NAME" else ""
         if meant:
-            message = f"'{shown(token[1])}' is no word of the language"
-            return spot.error(message, f"did you mean '{meant}'?", place(token, token))
+            message = f"'{shown(token[1])}' is not a keyword of Koord"
+            return site.error(message, f"did you mean '{meant}'?", place(token, token))
     return None
 
 
-def _beginning(spot: Spot) -> tuple[str, ...]:
-    """The words with which the line may begin."""
-    level, section = spot.level(), spot.tokens[0][0]
+def _beginning(site: ErrorSite) -> tuple[str, ...]:
+    """Return the keywords with which the line may begin."""
+    level, section = site.level(), site.tokens[0][0]
     if level == 0:
         return _SECTIONS
     if section == "using":
@@ -50,18 +53,20 @@ def _beginning(spot: Spot) -> tuple[str, ...]:
     return _STATEMENTS if section in ("NAME", "priority", "init", "fun", "def") else ()
 
 
-def _near(word: str, choices: Iterable[str]) -> str:
+def _similar_keyword(word: str, choices: Iterable[str]) -> str:
     if word in _RIGHT or len(word) > 20:
         return ""
     for choice in choices:
-        if word != choice and (word.lower() == choice or _one_slip(word, choice)):
+        if word != choice and (word.lower() == choice or _differs_by_one_slip(word, choice)):
             return choice
     return ""
 
 
-def _one_slip(word: str, meant: str) -> bool:
-    """Whether two neighbouring letters are exchanged, or one letter is wrong, missing or too many; short words are
-    near to too many others."""
+def _differs_by_one_slip(word: str, meant: str) -> bool:
+    """Return whether a word differs by two swapped letters, or by one wrong, missing or extra letter.
+
+    In short words fewer differences count, because they resemble too many other words.
+    """
     if len(word) == len(meant):
         wrong = [i for i in range(len(word)) if word[i] != meant[i]]
         if len(wrong) == 1:

@@ -1,4 +1,4 @@
-"""Statements as they were written. A block is a tuple of them."""
+"""Syntax tree of statements. A block is a tuple of statements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from koordgen.lang.syntax.types import TypeExpr
 
 
 class Assign(Node):
-    """`target = value`; `op` is `+` for `+=` and so on, empty for `=`."""
+    """Assignment `target = value`. `op` is `+` for `+=` and so on, empty for `=`."""
 
     target: Expr
     op: str
@@ -18,7 +18,7 @@ class Assign(Node):
 
 
 class Declare(Node):
-    """`Type name = value`; without a value it is the type's default."""
+    """Declaration `Type name = value`. Without a value the variable has the default of its type."""
 
     type: TypeExpr
     name: str
@@ -28,7 +28,7 @@ class Declare(Node):
 
 
 class Branch(Node):
-    """`if` or `elif` with its condition and block."""
+    """One branch of an `if` statement: `if` or `elif` with its condition and block."""
 
     condition: Expr
     block: Block
@@ -36,7 +36,7 @@ class Branch(Node):
 
 
 class If(Node):
-    """A chain of conditions, of which the first that holds counts."""
+    """Statement `if`, with its `elif` branches and `else` block."""
 
     branches: tuple[Branch, ...]
     orelse: Block
@@ -44,7 +44,7 @@ class If(Node):
 
 
 class For(Node):
-    """`for a, b in values:`; its span is the header's."""
+    """Loop `for a, b in values:`. Its span is the header's."""
 
     names: tuple[Name, ...]
     values: Expr
@@ -53,7 +53,7 @@ class For(Node):
 
 
 class CountedFor(Node):
-    """`for i = first, last:` of the 2020 dialect: `last` is included."""
+    """Loop `for i = first, last:` of the 2020 dialect, with `last` included."""
 
     name: Name
     first: Expr
@@ -63,7 +63,7 @@ class CountedFor(Node):
 
 
 class While(Node):
-    """`while condition:`; its span is the header's."""
+    """Loop `while condition:`. Its span is the header's."""
 
     condition: Expr
     block: Block
@@ -71,59 +71,59 @@ class While(Node):
 
 
 class Atomic(Node):
-    """`atomic:`; its span is the word's."""
+    """Block `atomic:`. Its span is the keyword's."""
 
     block: Block
     span: Span
 
 
 class Evaluate(Node):
-    """An expression that stands alone: a call, or what goes to a stream (`Log.stdout << a << b`)."""
+    """Expression as a statement: a call, or a write to a stream (`Log.stdout << a << b`)."""
 
     value: Expr
     span: Span
 
 
 class Return(Node):
-    """`return value`"""
+    """Statement `return value`."""
 
     value: Expr
     span: Span
 
 
 class Break(Node):
-    """`break`"""
+    """Statement `break`."""
 
     span: Span
 
 
 class Continue(Node):
-    """`continue`"""
+    """Statement `continue`."""
 
     span: Span
 
 
 class Pass(Node):
-    """`pass`"""
+    """Statement `pass`."""
 
     span: Span
 
 
 class Stop(Node):
-    """`stop`"""
+    """Statement `stop`."""
 
     span: Span
 
 
 class Invariant(Node):
-    """`invariant condition`, at the head of a loop's block."""
+    """Loop invariant `invariant condition`, at the head of a loop's block."""
 
     condition: Expr
     span: Span
 
 
 class BrokenStmt(Node):
-    """A statement that could not be read; it has been reported. `names` are the names that stand in it."""
+    """A statement that could not be parsed; the error is already reported. `names` has all names in it."""
 
     names: tuple[str, ...]
     span: Span

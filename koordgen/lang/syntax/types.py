@@ -1,4 +1,4 @@
-"""Types as they were written."""
+"""Syntax tree of types."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from koordgen.lang.source import Span
 
 
 class NamedType(Node):
-    """`Point`, a record's or an extern type's name; also the words of the 2020 dialect (`pos`, `boolean`)."""
+    """Type with a plain name: `Point`, a record or extern type; `pos` and `boolean` in the 2020 dialect."""
 
     name: str
     span: Span
 
 
 class GenericType(Node):
-    """`List<T>`, `List<A, B>`, `Map<K, V>`, `Set<T>`, `Queue<T>`; `T[]` of the 2020 dialect has the name `[]`."""
+    """Container type: `List<T>`, `List<A, B>`, `Map<K, V>`, `Set<T>`, `Queue<T>`.
+
+    `[]` names the old `T[]`.
+    """
 
     name: str
     args: tuple[TypeExpr, ...]
@@ -22,14 +25,14 @@ class GenericType(Node):
 
 
 class TupleType(Node):
-    """`(A, B)`"""
+    """Tuple type `(A, B)`."""
 
     items: tuple[TypeExpr, ...]
     span: Span
 
 
 class BrokenType(Node):
-    """What could not be read; it has been reported."""
+    """A type that could not be parsed; the error is already reported."""
 
     span: Span
 

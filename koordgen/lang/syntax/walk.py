@@ -1,4 +1,4 @@
-"""Walks over syntax trees, for questions that are asked rarely. Those over the IR are in `ir/tree.py`."""
+"""Walks over syntax trees, for rare questions. `ir/tree.py` has those over the IR."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ _APART = ("span", "name_span", "op_span", "def_span")
 
 
 def parts(node: object) -> tuple[object, ...]:
-    """Return what a node has in its fields, or the items of a tuple, in order, without places; of any other value
-    nothing."""
+    """Return the values of a node's fields without spans, or the items of a tuple.
+
+    Of other values nothing.
+    """
     if isinstance(node, Node):
         return tuple([getattr(node, f) for f in type(node).__match_args__ if f not in _APART])  # type: ignore[attr-defined]
     return node if isinstance(node, tuple) else ()
 
 
 def nodes(root: object) -> Iterator[Node]:
-    """All nodes of a tree (or of a tuple of trees) but the places, in no useful order."""
+    """Yield all nodes of a tree, or of a tuple of trees, except spans, in no particular order."""
     pending: list[object] = [root]
     while pending:
         item = pending.pop()
@@ -30,7 +32,7 @@ def nodes(root: object) -> Iterator[Node]:
 
 
 def broken_names(program: decl.Program) -> frozenset[str]:
-    """The names in all that could not be read."""
+    """Return all names in text that could not be parsed."""
     found: set[str] = set()
     for node in nodes(program):
         if isinstance(node, (expr.Broken, stmt.BrokenStmt, decl.BrokenSection)):
@@ -41,12 +43,12 @@ def broken_names(program: decl.Program) -> frozenset[str]:
 
 
 def is_whole(program: decl.Program) -> bool:
-    """Return whether a program contains nothing that could not be read."""
+    """Return whether all of a program could be parsed."""
     return not any(isinstance(node, (expr.Broken, stmt.BrokenStmt, decl.BrokenSection)) for node in nodes(program))
 
 
 def statements(block: stmt.Block) -> Iterator[stmt.Stmt]:
-    """All statements of a block and of the blocks in it."""
+    """Yield all statements of a block and of the blocks in it."""
     pending = list(block)
     while pending:
         statement = pending.pop()

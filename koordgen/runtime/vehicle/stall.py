@@ -40,7 +40,7 @@ class Stalls:
             self._why, self._reported = "", None
 
     def _go_on(self, now: float) -> None:
-        kind = re.sub(r"[-\d.]+", "", self._why)  # different numbers are no different reason
+        kind = re.sub(r"[-\d.]+", "", self._why)  # reasons that differ in numbers only count as equal
         wait = AGAIN if kind == self._kind else GRACE
         if self._reported is None or now - self._reported >= wait:
             self._report("begins" if self._reported is None else "goes on", self._why, now - self._since)

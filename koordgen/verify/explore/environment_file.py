@@ -8,7 +8,7 @@ from decimal import Decimal
 from itertools import product
 from typing import Any
 
-from koordgen.fleet.located import Reader, Report, YamlNode
+from koordgen.fleet.yaml_reader import Report, YamlNode, YamlReader
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import Const
@@ -44,7 +44,7 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
             mistakes.append(1)
             report(*mistake)
 
-        found = _EnvironmentFile(Reader(source, noted), program, sensors, called).read(found, n_sys)
+        found = _EnvironmentFile(YamlReader(source, noted), program, sensors, called).read(found, n_sys)
         if mistakes:
             return None
     for pid in range(n_sys):
@@ -66,7 +66,7 @@ def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type
 
 
 class _EnvironmentFile:
-    def __init__(self, reader: Reader, program: decl.Program, sensors: dict[str, Type], called: list[str]) -> None:
+    def __init__(self, reader: YamlReader, program: decl.Program, sensors: dict[str, Type], called: list[str]) -> None:
         self.reader, self.program, self.sensors, self.called = reader, program, sensors, called
 
     def read(self, usual: Environment, n_sys: int) -> Environment:

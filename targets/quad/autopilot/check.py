@@ -20,7 +20,7 @@ from targets.quad.autopilot.firmware import Firmware
 from targets.quad.autopilot.telemetry import Streams, Telemetry
 from targets.quad.autopilot.vehicles import identified
 
-SILENCE = 5.0  # seconds without any heartbeat, of which there is one each second, after which none is waited for
+SILENCE = 5.0  # seconds without a heartbeat (one per second is sent) that end the check
 DEADLINE = 9.5  # seconds for a position estimate to come
 WATCHED = 3.0  # seconds for which the streams are watched when it is there: rates can be told
 _PAUSE = 0.05

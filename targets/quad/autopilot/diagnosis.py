@@ -91,7 +91,7 @@ def _version(what: str, heard: Heard) -> Finding:
 
 
 def _parameters(heard: Heard) -> list[Finding]:
-    """Return each that differs on a line of its own."""
+    """Return one finding for each parameter that differs."""
     if heard.parameters is None:
         return []
     wrong = heard.parameters.differences
@@ -196,7 +196,7 @@ def _name(message: int) -> str:
 
 
 def _battery(heard: Heard) -> list[Finding]:
-    """SYS_STATUS: millivolts, 0 and 65535 where nobody measures; percent, -1 likewise."""
+    """Check the battery by SYS_STATUS: millivolts (0 or 65535: not measured) and percent (-1: not measured)."""
     status = heard.newest.get(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
     if status is None:
         return []

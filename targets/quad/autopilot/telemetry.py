@@ -90,7 +90,7 @@ class Telemetry:
                 self.battery = message.battery_remaining / 100 if 0 <= message.battery_remaining <= 100 else None
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
                 self.landed = message.landed_state or None
-            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # of equal bits
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # same flags
                 self._ekf, self._ekf_time = message.flags, now
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
                 if math.isfinite(message.alt):  # always AMSL here, whatever frame was asked for

@@ -73,7 +73,7 @@ class Avoidance:
 
     @property
     def waiting(self) -> str:
-        """What is not there yet, in words; "" when all is."""
+        """What the quad still waits for; "" if nothing."""
         return "" if self._planning.ready else "waiting for the planner"
 
     def others(self, paths: Mapping[int, Path]) -> None:

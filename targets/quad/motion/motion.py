@@ -57,7 +57,7 @@ class Motion:
         self._near: float | None = None  # since when the vehicle stands at the goal
         self._sent: float | None = None  # when the last setpoint was sent
         self._doubted: float | None = None  # since when the autopilot has shown no sign of following
-        self._halt: tuple[Point, float] | None = None  # where to, and until when it is told
+        self._halt: tuple[Point, float] | None = None  # goal of a stop, and until when it is sent
         self.reached = True
         self.followed = False  # whether the autopilot was seen to follow the setpoints, and still does
         self.settled = False  # whether the vehicle was seen to stand where it is to wait, since it is steered

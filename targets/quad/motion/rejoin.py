@@ -65,11 +65,11 @@ class Ways(Protocol):
         ...
 
     def ask_leg(self, start: Point, end: Point) -> bool:
-        """Have a leg planned, for `leg`; False when that cannot be done now."""
+        """Request a leg, which `leg` returns. Return False if that is not possible now."""
         ...
 
     def leg(self) -> Path | None:
-        """Return the leg that was planned, once: () when there is none, None when no answer has come."""
+        """Return the planned leg once: () if there is none, None while no answer has come."""
         ...
 
 
@@ -277,9 +277,10 @@ class Rejoin:
         return Aim(p + ahead * min(1.0, free / max(norm(ahead), 1e-9)), kept, aim.yaw)
 
     def _most(self, position: Point) -> float:
-        """The rate of the reference at which `bounded` still demands all of its speed, and at which it can be braked
-        before what it heads for. Near obstacles it waits for a vehicle that is TIGHT behind: a vehicle that lags
-        cuts corners."""
+        """Return the rate of the reference at which `bounded` still demands all of its speed.
+
+        At this rate the reference can also brake before its goal. Near obstacles it waits for a vehicle that is TIGHT
+        behind, because a vehicle that lags cuts corners."""
         reference, state = self._reference, self._reference.at(0.0)
         speed, off = norm(state.velocity), distance(position, state.position)
         tight = 1.0

@@ -41,8 +41,9 @@ class Limits:
     box: Box
 
     def top(self, direction: Point, drift: Point = ZERO) -> float:
-        """The largest s, not negative, at which the velocity s * direction + drift is within the limits. `direction` is
-        a unit vector, `drift` itself within the limits."""
+        """Return the largest s >= 0 at which the velocity s * direction + drift is within the limits.
+
+        `direction` is a unit vector; `drift` itself is within the limits."""
         return self.most(_dot(direction, drift), direction.z, drift.z, self.speed**2 - _dot(drift, drift))
 
     def most(self, along: float, up: float, drift_up: float, room: float) -> float:
@@ -79,7 +80,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """So many seconds of constant acceleration. `ahead` is the index of the waypoint that comes next."""
+    """A time of constant acceleration, in seconds. `ahead` is the index of the next waypoint."""
 
     seconds: float
     start: State
@@ -162,8 +163,10 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
 
 
 def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
-    """Return the first piece: from the velocity that there is to one towards the goal, as fast as allows to stop there;
-    braking when nothing better stays within the limits. No piece when nothing moves yet."""
+    """Return the first piece, from the present velocity to one towards the goal.
+
+    The new velocity is the fastest one that allows to stop at the goal. If nothing better stays within the limits, the
+    piece brakes. No piece if the vehicle is at rest."""
     speed = norm(start.velocity)
     if speed < _STILL:
         return []

@@ -34,7 +34,9 @@ def heading(text: str) -> str | float:
 
 
 class Yaw:
-    """`policy` is `heading`'s. `commanded` is None until the vehicle's own yaw is known: it begins there."""
+    """Commanded yaw. `policy`: see `heading`.
+
+    `commanded` is None until the vehicle's own yaw is known, at which it begins."""
 
     def __init__(self, policy: str | float) -> None:
         self._policy = policy

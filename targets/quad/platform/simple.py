@@ -30,7 +30,7 @@ GAIN = 2.0  # 1/s: velocity by distance from the reference
 TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, rad/s
 SINKING = 0.5  # m/s, landing
 ARRIVED = 0.05  # m below the flight height at which the climb is over
-LANDED, SETTLING = 0.05, 0.5  # m, s: so low for so long it is on the ground
+LANDED, SETTLING = 0.05, 0.5  # m, s: below this height for this long, it counts as landed
 GONE = 10.0  # s without a word of the body after which a landing quad waits no longer: its simulator has ended
 
 

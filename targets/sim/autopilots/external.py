@@ -203,7 +203,7 @@ class Socket:
         return found
 
     def wait(self, seconds: float) -> bool:
-        """See Link."""
+        """See WaitablePort."""
         return bool(select.select([self._socket], [], [], seconds)[0])
 
     def send(self, data: bytes) -> None:

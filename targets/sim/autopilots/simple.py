@@ -114,7 +114,7 @@ class SimpleQuadDevice(SimpleDevice):
         self._body.motors(on)
 
     def execute(self, what: str, values: tuple[float, ...]) -> None:
-        """See Direct."""
+        """See SimpleDevice."""
         if what == "fly":
             x, y, z, rate = values
             self.fly((x, y, z), rate)
@@ -153,7 +153,7 @@ class SimpleCarDevice(SimpleDevice):
         self._body.brake(deceleration)
 
     def execute(self, what: str, values: tuple[float, ...]) -> None:
-        """See Direct."""
+        """See SimpleDevice."""
         if what == "drive":
             self.drive(*values)
         else:

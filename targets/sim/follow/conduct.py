@@ -84,7 +84,7 @@ class ReplayTraceFile(TraceFile):
         self._mark = HEADER + b',"followed":"' + kind.encode() + b'"'
 
     def write(self, line: bytes) -> None:
-        """See Told."""
+        """See TraceFile."""
         super().write(line.replace(HEADER, self._mark, 1) if line.startswith(HEADER) else line)
 
 
@@ -111,14 +111,14 @@ class PlacedScene(SimulationScene):
         self._guide = guide
 
     def step(self, at: float) -> list[BodyState]:
-        """See Stage."""
+        """See SimulationScene."""
         states = [self._guide.body(pid, at) for pid in range(len(self.actors))]
         self.watch.look(at, [state.position for state in states])
         return states
 
     def standing(self, pid: int) -> bool:
-        """See Stage."""
+        """See SimulationScene."""
         return True
 
     def close(self) -> None:
-        """See Stage."""
+        """See SimulationScene."""

@@ -78,7 +78,7 @@ class Lockstep:
         self._began = time.perf_counter()
 
     def disturb(self, medium: Medium) -> None:
-        """See Conduct."""
+        """See AgentsAndClock."""
         network = self._shared.network
         network.conditions, network.links, network.cut = medium.all, dict(medium.by_link()), medium.cut
 

@@ -123,7 +123,7 @@ class RollingKind(BodyKind):
         self.ahead = np.zeros(0)  # m, from the rear axle to the centre of mass
 
     def steady(self) -> Mask:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         x, y = now.orientation[:2]
         level = (np.abs(now.position[2] - HEIGHT / 2) < _OFF) & (x * x + y * y < _TILTED)
@@ -149,7 +149,7 @@ class RollingKind(BodyKind):
         return down
 
     def place(self) -> tuple[Array, Array, Array]:
-        """See Kind."""
+        """See BodyKind."""
         now, yaw = self.motions, yaws(self.motions.orientation)
         ahead = np.empty((2, self.count))
         np.cos(yaw, out=ahead[0])
@@ -171,11 +171,11 @@ class Cars(RollingKind):
         self.each: list[SimulatedCar] = []
 
     def grow(self) -> None:
-        """See Kind."""
+        """See BodyKind."""
         self.ahead = np.append(self.ahead, 0.0)
 
     def push(self, air: Array | None, taken: Mask) -> None:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         down = self.carry(taken).tolist()
         # Heading in the middle of the step. The heading at its beginning would let every curve drift outwards.

@@ -34,12 +34,12 @@ class SimpleQuadrotors(BodyKind):
         self.running = np.zeros(0, dtype=bool)
 
     def grow(self) -> None:
-        """See Kind."""
+        """See BodyKind."""
         self.asked.append((0.0, 0.0, 0.0, 0.0))
         self.running = np.append(self.running, False)
 
     def push(self, air: Array | None, taken: Mask) -> None:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         asked = np.array(self.asked).T
         gained = (asked[:3] - now.velocity) * _FLOWN
@@ -51,7 +51,7 @@ class SimpleQuadrotors(BodyKind):
         now.spin[2] += (_limited(asked[3], quadrotor.MAX_YAW_RATE) - now.spin[2]) * (_TURNED * self.running)
 
     def place(self) -> tuple[Array, Array, Array]:
-        """See Kind."""
+        """See BodyKind."""
         return self.motions.position - _FEET, self.motions.velocity, yaws(self.motions.orientation)
 
 
@@ -92,13 +92,13 @@ class SimpleCars(car.RollingKind):
         self.most = np.zeros(0)  # m/s^2, largest acceleration
 
     def grow(self) -> None:
-        """See Kind."""
+        """See BodyKind."""
         self.asked = np.column_stack((self.asked, np.zeros(2)))
         self.ahead, self.steering = np.append(self.ahead, 0.0), np.append(self.steering, 0.0)
         self.eager, self.most = np.append(self.eager, 0.0), np.append(self.most, 0.0)
 
     def push(self, air: Array | None, taken: Mask) -> None:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         down = self.carry(taken)
         turning = (self.asked[1] - self.steering) / car.STEERING_LAG
@@ -108,7 +108,7 @@ class SimpleCars(car.RollingKind):
         speed = now.velocity[0] * np.cos(headed) + now.velocity[1] * np.sin(headed)
         speed += _limited((self.asked[0] - speed) * self.eager, self.most) * STEP
         rate = speed * np.tan(self.steering) / (2 * self.ahead)
-        heading = yaw + rate * half  # in the middle of the step
+        heading = yaw + rate * half  # at the middle of the step
         cos, sin, across = np.cos(heading), np.sin(heading), self.ahead * rate
         np.copyto(now.velocity[0], speed * cos - across * sin, where=down)
         np.copyto(now.velocity[1], speed * sin + across * cos, where=down)

@@ -71,13 +71,13 @@ class Quadrotors(BodyKind):
         self.direct: dict[int, tuple[float, float, float, float]] = {}  # thrusts that bypass the attitude loop
 
     def grow(self) -> None:
-        """See Kind."""
+        """See BodyKind."""
         self.asked.append((0.0, 0.0, 0.0, 0.0))
         self.running = np.append(self.running, 0.0)
         self.motors = np.column_stack((self.motors, np.zeros(4)))
 
     def push(self, air: Array | None, taken: Mask) -> None:
-        """See Kind."""
+        """See BodyKind."""
         now = self.motions
         turned = rotations(now.orientation)
         spin = total(turned * now.spin[:, None])  # in the body's frame
@@ -124,7 +124,7 @@ class Quadrotors(BodyKind):
         return found
 
     def place(self) -> tuple[Array, Array, Array]:
-        """See Kind."""
+        """See BodyKind."""
         return self.motions.position - _FEET, self.motions.velocity, yaws(self.motions.orientation)
 
 

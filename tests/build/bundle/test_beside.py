@@ -1,4 +1,4 @@
-"""What a user's own Python becomes in bundles, from the files of a build to a process."""
+"""The user's own Python files in bundles, from the files of a build to a process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from koordgen.build.bundle.write import write
 from koordgen.build.pipeline import Rejected, plan_file
 from koordgen.fleet import manifest
 from koordgen.fleet.file import Fleet, read
-from koordgen.fleet.offered import Driver
+from koordgen.fleet.settings import DriverClass
 from koordgen.lang.source import Source, Span
 from tests.build.emit.generated import checked
 
@@ -78,11 +78,14 @@ def test_the_program_of_a_driver_that_fits_no_port_is_refused(tmp_path: Path) ->
     with pytest.raises(Rejected) as rejected:
         plan_file(str(tmp_path / "hvac.koord"), ["car"], str(tmp_path / "fleet.yaml"), {})
     ((_, found),) = rejected.value.found
-    assert (found.code, found.message) == ("B005", "HVAC.temp is of type bool in the driver Hvac, not float")
+    assert (found.code, found.message) == (
+        "B005",
+        "HVAC.temp has type bool in the driver Hvac, but float in the program",
+    )
 
 
 def test_streams_are_everyones() -> None:
-    from koordgen.build.bundle.offer import check_ports
+    from koordgen.build.bundle.ports import check_ports
 
     program = checked('using Log:\n  stream stdout\nE:\n  pre: True\n  eff: Log.stdout << "a"\n')
     assert check_ports(program, [manifest.load("car")]) == []
@@ -108,7 +111,7 @@ def fleet(text: str) -> tuple[Fleet | None, list[str]]:
 def test_drivers_and_the_planners_budget_in_a_fleet_file() -> None:
     read_, found = fleet("modules: {HVAC: drivers.hvac:Hvac, Arm: arm:Arm}\nplanner_budget: 0.02\n")
     assert read_ is not None and not found
-    assert read_.drivers == {"HVAC": Driver("drivers.hvac", "Hvac"), "Arm": Driver("arm", "Arm")}
+    assert read_.drivers == {"HVAC": DriverClass("drivers.hvac", "Hvac"), "Arm": DriverClass("arm", "Arm")}
     assert (read_.drivers["HVAC"].path, read_.planner_budget) == ("drivers/hvac.py", 0.02)
     usual, _ = fleet("")
     assert usual is not None and (usual.drivers, usual.planner_budget) == ({}, None)
@@ -119,9 +122,9 @@ def test_drivers_and_the_planners_budget_in_a_fleet_file() -> None:
     [
         ("modules: [HVAC]\n", "F004 5: modules must be a mapping (key: value)"),
         ("modules: {HVAC: 3}\n", "F004 5: the driver of HVAC must be a text, not '3'"),
-        ("modules: {HVAC: ../up:Up}\n", "F005 5: '../up:Up' names no driver class"),
-        ("modules: {HVAC: hvac}\n", "F005 5: 'hvac' names no driver class"),
-        ("modules: {HVAC: a:A, HVAC: a:B}\n", "F006 5: 'HVAC' stands twice in modules"),
+        ("modules: {HVAC: ../up:Up}\n", "F005 5: '../up:Up' does not name a driver class"),
+        ("modules: {HVAC: hvac}\n", "F005 5: 'hvac' does not name a driver class"),
+        ("modules: {HVAC: a:A, HVAC: a:B}\n", "F006 5: 'HVAC' appears twice in modules"),
         ("planner_budget: 3\n", "F005 5: planner_budget (seconds) is 3; it must be 0.0005 to 1"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The build's budget and the robot's must give the same verdict."""
+"""Size limits of the build and of the robot: both give the same verdict."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_both_give_the_same_verdict(n_sys: int) -> None:
 
 @pytest.mark.parametrize("n_sys", [2, 5, 15, 16, 60, 90, 128])
 def test_both_give_the_same_verdict_on_the_whole_store(n_sys: int) -> None:
-    """Entries are short enough here; what a robot that comes back is given is not, by one character."""
+    """Log entries fit here; the state transfer to a robot that rejoins is too long by one character."""
     source = "  int i\n  bool b\nallread:\n  float f[N_SYS]\n  string t[N_SYS] max MAX\n"
     large = program(source.replace("MAX", "130500" if n_sys < 60 else "9000"))
     (found,) = check_budget(large, n_sys)
@@ -97,8 +97,8 @@ def test_the_message_on_the_whole_store_has_the_arithmetic() -> None:
     (found,) = check_budget(checked("allread: string t[N_SYS] max 120000\nallwrite: int i\n" + EVENT), 5)
     assert (found.code, found.severity, found.span.line) == ("B004", "error", 1)
     assert found.message == (
-        "all shared variables together take up to 600183 bytes; with 5 robots at most 239104 can be handed to a robot "
-        "that comes back; t alone takes up to 600026, 5 slots of 120005"
+        "all shared variables together take up to 600183 bytes; with 5 robots, a robot that rejoins can receive at "
+        "most 239104 bytes; t alone takes up to 600026 bytes: 5 slots of 120005 bytes"
     )
 
 
@@ -124,10 +124,10 @@ def test_what_init_writes_goes_in_one_datagram(n_sys: int) -> None:
     *_, found = check_budget(init_writing(2000, write), n_sys)  # in the largest fleet all of it is too large as well
     assert (found.code, found.severity, found.span.line) == ("B004", "error", 1)
     assert found.message == (
-        "what `init` writes to shared variables must fit in one datagram; it takes up to 2060 bytes: 38 + 2008 for t + "
-        f"14 for i; with {n_sys} robots there is room for {most_init(n_sys)}"
+        "writes of `init` to shared variables must fit into one datagram; they take up to 2060 bytes: 38 + 2008 for t "
+        f"+ 14 for i; with {n_sys} robots there is room for {most_init(n_sys)} bytes"
     )
-    assert found.help.endswith("give the variable its first value where it is declared, or write it in an event")
+    assert found.help.endswith("give the variable its initial value in its declaration, or write it in an event")
     (most,) = map(int, re.findall(r"it fits with `max (\d+)`", found.help))
     if n_sys < 128:
         assert check_budget(init_writing(most, write), n_sys) == []
@@ -205,7 +205,7 @@ def test_bytes_of_every_type_are_those_that_robots_count() -> None:
 
 
 def test_no_value_within_its_bound_is_longer() -> None:
-    """The longest values there are, encoded."""
+    """Encodes the longest values of each type."""
     text, point = "x" * 40, Point(0.1, 0.2, 0.3)
     far = -(2**63)
     longest: dict[str, object] = {
@@ -224,8 +224,9 @@ def test_no_value_within_its_bound_is_longer() -> None:
 def test_the_message_has_the_arithmetic_and_the_place() -> None:
     (found,) = check_budget(checked("allread: string text[N_SYS] max 140000\nallwrite: int i\n" + EVENT), 5)
     assert (found.code, found.severity, found.span.line) == ("B004", "error", 1)
-    assert (
-        "up to 140062 bytes; with 5 robots at most 131072 can be sent; text alone takes up to 140005" in found.message
+    assert found.message == (
+        "shared writes of one round take up to 140062 bytes; with 5 robots a round can send at most 131072 bytes; text "
+        "alone takes up to 140005 bytes"
     )
 
 

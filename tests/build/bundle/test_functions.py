@@ -1,4 +1,4 @@
-"""The Python beside a program is looked at before anything is built, and nothing that it does harms the build."""
+"""Functions files are checked before the build writes anything, and their code cannot harm the build."""
 
 from __future__ import annotations
 
@@ -55,18 +55,18 @@ def test_any_parameters_serve(tmp_path: Path) -> None:
         ("del half", 1, "a_functions.py has no function half"),
         ("half = 3", 1, "a_functions.py has no function half"),
         ("class half: pass", 1, "a_functions.py has no function half"),
-        ("def half(y): pass", 1, "half takes (y) in a_functions.py, not (x)"),
-        ("def half(): pass", 1, "half takes () in a_functions.py, not (x)"),
-        ("def half(x, y): pass", 1, "half takes (x, y) in a_functions.py, not (x)"),
-        ("def half(x, *, y): pass", 1, "half takes (x) in a_functions.py, not (x)"),
+        ("def half(y): pass", 1, "half has the parameters (y) in a_functions.py, but (x) in the program"),
+        ("def half(): pass", 1, "half has the parameters () in a_functions.py, but (x) in the program"),
+        ("def half(x, y): pass", 1, "half has the parameters (x, y) in a_functions.py, but (x) in the program"),
+        ("def half(x, *, y): pass", 1, "half has the parameters (x) in a_functions.py, but (x) in the program"),
         ("del Ticket", 2, "a_functions.py has no class Ticket"),
         ("def Ticket(): pass", 2, "a_functions.py has no class Ticket"),
         (
             "class Ticket:\n  def __init__(self, n): pass",
             2,
-            "the class Ticket in a_functions.py serves no extern type: ",
+            "the class Ticket in a_functions.py cannot be an extern type: ",
         ),
-        ("class Ticket: pass", 2, "the class Ticket in a_functions.py serves no extern type: "),
+        ("class Ticket: pass", 2, "the class Ticket in a_functions.py cannot be an extern type: "),
         ("1 / 0", 1, "a_functions.py cannot be imported: ZeroDivisionError: division by zero (line 11)"),
         ("import no_such_thing", 1, "a_functions.py cannot be imported: ModuleNotFoundError: No module named"),
         ("def half(x: pass", 1, "a_functions.py cannot be imported: SyntaxError"),
@@ -82,7 +82,7 @@ def test_what_is_wrong_is_told_at_its_declaration(tmp_path: Path, added: str, li
 
 def test_no_file(tmp_path: Path) -> None:
     ((line, message),) = told(tmp_path, None)
-    assert line == 1 and message.endswith("a_functions.py, which has the extern functions, is not there")
+    assert line == 1 and message.endswith("a_functions.py, which should have the extern functions")
 
 
 def test_an_import_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

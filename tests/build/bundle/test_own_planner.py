@@ -1,4 +1,4 @@
-"""A planner of the user's own and `avoid`, from the fleet file to a process in the bundle."""
+"""The user's own planner and `avoid`, from the fleet file to a process in the bundle."""
 
 from __future__ import annotations
 
@@ -73,16 +73,16 @@ def test_its_file_goes_into_the_bundle_and_its_process_finds_it(tmp_path: Path) 
     ("planner", "text", "said"),
     [
         ("routes.mine:Yours", MINE, "routes/mine.py has no class Yours"),
-        ("routes.yours:Mine", MINE, "routes/yours.py, which should have the class Mine, is not there"),
+        ("routes.yours:Mine", MINE, "routes/yours.py, which should have the class Mine"),
         ("routes.mine:Mine", MINE.replace("def plan", "def route"), "Mine in routes/mine.py has no method plan"),
         (
             "routes.mine:Mine",
             MINE.replace("self, world", "self"),
-            "Mine in routes/mine.py cannot be made with one argument",
+            "the class Mine in routes/mine.py cannot be constructed with one argument",
         ),
         ("routes.mine:Mine", "import nothing_there", "routes/mine.py cannot be imported: ModuleNotFoundError"),
-        ("koordgen.mine:Mine", MINE, "every bundle has one of that name"),
-        ("dijkstra", MINE, "planner is 'dijkstra'"),
+        ("koordgen.mine:Mine", MINE, "every bundle has a file with this name"),
+        ("dijkstra", MINE, "planner cannot be 'dijkstra'"),
     ],
 )
 def test_one_that_cannot_serve_is_refused_at_its_place(tmp_path: Path, planner: str, text: str, said: str) -> None:
@@ -93,4 +93,4 @@ def test_one_that_cannot_serve_is_refused_at_its_place(tmp_path: Path, planner: 
 @pytest.mark.parametrize("name", ["y", "lineform"])
 def test_what_is_to_be_avoided_must_be_published(tmp_path: Path, name: str) -> None:
     ((code, message),) = refused(files(tmp_path, "rrt", f"avoid: {name}\n"))
-    assert code == "F005" and f"avoid is '{name}'" in message and message.endswith("there are: x")
+    assert code == "F005" and f"avoid is '{name}'" in message and message.endswith("possible values: x")

@@ -1,4 +1,4 @@
-"""The name of a release: one for all robots of a build, another one for whatever differs."""
+"""Name of a release: equal for all robots of a build, different after any change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writing bundles: all or nothing, and never over what is not ours."""
+"""Writing of bundles: all or none, and never over the user's files."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_refuses_a_folder_with_sums_of_the_users(tmp_path: Path, head: bytes) ->
 
 
 def dead() -> int:
-    """The number of a process that has ended."""
+    """Return the id of a process that has ended."""
     with subprocess.Popen(["true"]) as process:
         process.wait()
         return process.pid

@@ -1,4 +1,4 @@
-"""Koord text -> the program that runs on robots, with the user's Python beside it; one event of it at a time."""
+"""Koord text -> generated program, loaded with the user's Python file, and run event by event."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ using Log:
 
 
 def checked(text: str) -> IR:
-    """The IR of a program that has no mistakes."""
+    """Return the IR of a program without errors."""
     tree, found = parse(Source("a.koord", text))
     assert not found, found
     program, wrong = check(tree, Source("a.koord", text))
@@ -38,12 +38,12 @@ def checked(text: str) -> IR:
 
 
 def in_one_line(text: str) -> str:
-    """Python text with each statement in one line and without comments, as Python itself writes it."""
+    """Return Python text with each statement in one line and without comments, as `ast.unparse` writes it."""
     return ast.unparse(ast.parse(text))
 
 
 def load(text: str, functions: str = "") -> rt.Program:
-    """The generated program; `functions` is the text of the Python beside it."""
+    """Load the generated program; `functions` is the text of its functions file."""
     program: rt.Program = _module("generated", program_text(checked(text))).PROGRAM
     if program.library is not None and functions:
         program.library._module = _module("a_functions", functions)
@@ -52,7 +52,7 @@ def load(text: str, functions: str = "") -> rt.Program:
 
 
 def _module(name: str, text: str) -> Any:
-    """Annotations are looked up in the module that a class says it is of."""
+    """Register a module: annotations are looked up in the module of their class."""
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = f"{name}.py"
     exec(compile(text, f"{name}.py", "exec"), vars(module))
@@ -60,7 +60,7 @@ def _module(name: str, text: str) -> Any:
 
 
 def frame(program: rt.Program, pid: int = 0, n_sys: int = 3, call: Any = rt.no_ports, **changed: Any) -> rt.Frame:
-    """First values everywhere, but for those that are given by name."""
+    """Return a frame with initial values everywhere, except for the given names."""
     ports = {"Motion.position": Point(1, 2, 3), "Motion.target": Point(), "Motion.path": ()}
     shared = {v.name: (v.initial(),) * n_sys if v.kind == "allread" else v.initial() for v in program.shared}
     locals_ = {v.name: v.initial() for v in program.locals}
@@ -76,7 +76,7 @@ def frame(program: rt.Program, pid: int = 0, n_sys: int = 3, call: Any = rt.no_p
 
 
 def step(program: rt.Program, given: rt.Frame | None = None) -> rt.Effects | rt.Fault:
-    """What the first enabled event does."""
+    """Run the first enabled event. Return its result."""
     state = program.begin(given or frame(program))
     event = rt.choose(program, state)
     if isinstance(event, rt.Fault):
@@ -86,7 +86,7 @@ def step(program: rt.Program, given: rt.Frame | None = None) -> rt.Effects | rt.
 
 
 def locals_after(text: str, functions: str = "", **changed: Any) -> dict[str, Any]:
-    """The locals after the first enabled event of a program, which must have no fault."""
+    """Return the locals after the first enabled event of a program, which must have no fault."""
     program = load(text, functions)
     done = step(program, frame(program, **changed))
     assert isinstance(done, rt.Effects), done

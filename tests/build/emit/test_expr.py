@@ -1,4 +1,4 @@
-"""Parentheses in generated expressions: what Python reads back is the tree that was printed."""
+"""Parentheses in generated expressions: Python parses the text into the tree that was printed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A fault names its Koord line: of the statement that failed, or of the last write of what must not be kept."""
+"""Koord lines of faults: the line of the failed statement, or of the last write of a value that cannot be stored."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def fault(text: str, functions: str = "") -> Fault:
 
 
 def line_of(text: str) -> int:
-    """The line that ends in `# here`."""
+    """Return the line that ends in `# here`."""
     return next(number for number, line in enumerate(text.split("\n"), 1) if line.endswith("# here"))
 
 

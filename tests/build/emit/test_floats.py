@@ -1,4 +1,4 @@
-"""Which comparisons of generated code look for NaN: those whose operands may have it in them, and no others."""
+"""NaN checks in generated code: present for comparisons whose operands may be NaN, and for no others."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ E:
 
 
 def checks(effect: str, guard: str = "True") -> list[str]:
-    """Return the checks for NaN in generated code, in the order of the text, but for the function of the head."""
+    """Return the checks for NaN in generated code, in the order of the text, without the explanation at its head."""
     text = in_one_line(program_text(checked(HEAD.format(guard=guard, effect=effect.replace("\n", "\n    ")))))
     return re.findall(r"no_nan\w*\([^()]*", text[text.index("def guard_e") :])
 

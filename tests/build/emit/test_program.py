@@ -1,4 +1,4 @@
-"""Generated programs do what the Koord program says: values, functions, ports, streams, Python beside it."""
+"""Generated programs have the meaning of the Koord program: values, functions, ports, streams, functions file."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ local:
 
 
 def test_names_of_python_and_of_the_runtime_are_harmless() -> None:
-    """A program may call its things as it likes."""
+    """A program may use names of Python and of the runtime."""
     names = ["lambda_", "Cell", "State", "self", "print", "PROGRAM", "LINES", "frame", "msgspec", "keys", "at", "union"]
     text = "".join(f"def R{i}:\n  int {name} = {i}\n  Point p\n" for i, name in enumerate(names))
     text += "def Struct:\n  int Any = 1\ndef Variable:\n  Struct Program\n"

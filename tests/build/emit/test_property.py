@@ -1,4 +1,4 @@
-"""Properties as Python: what they come to, who made them false, what cannot be asked."""
+"""Properties as Python: their values, the values that made them false, and properties that cannot be evaluated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values that surely stay small are emitted as before; values that may grow are emitted with a check of their size."""
+"""Size checks in generated code: present for values that may grow, absent for values that always stay small."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tests.lang.semantics.programs import compiled
 
 
 def emitted(expression: str, type_: str = "int") -> str:
-    """The Python of an expression that is assigned to a local variable."""
+    """Return the Python text of an expression that is assigned to a local variable."""
     found = compiled(
         f"local:\n  int k\n  int n\n  string s\n  List<int> xs\n  {type_} out\n"
         f"Go:\n  pre: True\n  eff: out = {expression}\n"

@@ -1,4 +1,4 @@
-"""Generated text: what it imports, how its lines are mapped to Koord lines, where `+=` stands, how lines are broken."""
+"""Generated text: imports, map of lines to Koord lines, use of `+=`, and breaking of lines."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def example(path: Path) -> Program:
 
 
 def unused_and_missing(text: str) -> tuple[set[str], set[str]]:
-    """The imported names that a module never reads, and those that it reads although it never defines them."""
+    """Return the imported names that a module never reads, and the names that it reads without a definition."""
     imported: set[str] = set()
     read: set[str] = set()
     defined = {*dir(builtins), "__file__"}
@@ -64,7 +64,7 @@ def test_random_modules_import_exactly_what_they_use() -> None:
 
 
 def test_what_was_tried_and_dropped_is_not_imported() -> None:
-    """The condition over arrays reads a param, and then turns out not to exist."""
+    """The screening reads a param before it turns out that there is no screening."""
     text = properties_text(
         checked("param float eps = 0.5\nallwrite: string s\n" + IDLE + "invariant P: eps > 0.1 and s == s\n")
     )
@@ -75,7 +75,7 @@ def test_what_was_tried_and_dropped_is_not_imported() -> None:
 
 
 def statements(text: str) -> Iterator[tuple[int, int, int]]:
-    """First and last line of each simple statement and each head of a compound one that has a mark, and its mark."""
+    """Return first line, last line and mark of each simple statement and each head of a compound one with a mark."""
     lines = text.split("\n")
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.stmt):
@@ -237,7 +237,7 @@ def test_what_a_program_without_properties_measures_is_what_its_text_would_say()
 
 
 class Flat(ast.NodeTransformer):
-    """Makes one node of `(a and b) and c` and of `a and b and c`, which mean the same."""
+    """Merges `(a and b) and c` into one node like `a and b and c`, since both mean the same."""
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.BoolOp:
         self.generic_visit(node)
@@ -246,7 +246,7 @@ class Flat(ast.NodeTransformer):
 
 
 def tree(text: str) -> str:
-    """The module as Python reads it, but for the line map."""
+    """Return the module's syntax tree, without the line map."""
     module = Flat().visit(ast.parse(text))
     module.body = [s for s in module.body if not (isinstance(s, ast.AnnAssign) and ast.unparse(s.target) == "LINES")]
     return ast.dump(module)

@@ -68,7 +68,7 @@ def test_a_probes_fleet_is_the_users_but_for_what_is_drawn(platforms: dict[str, 
 @pytest.mark.parametrize("target", ["quad", "car"])
 def test_the_program_is_a_good_one(tmp_path: Path, target: str) -> None:
     (tmp_path / "probe.koord").write_text(probe.program_of(manifest.load(target)))
-    assert check_file(str(tmp_path / "probe.koord")).noticed == ()
+    assert check_file(str(tmp_path / "probe.koord")).diagnostics == ()
 
 
 @pytest.mark.parametrize(

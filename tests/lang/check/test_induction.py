@@ -9,7 +9,7 @@ import pytest
 
 from koordgen.lang.analyze.facts import induction
 from koordgen.lang.analyze.facts.flow import Flow
-from koordgen.lang.analyze.facts.induction import Candidate, Turns
+from koordgen.lang.analyze.facts.induction import Candidate, LoopModel
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.ir import decl, expr, stmt
@@ -96,18 +96,18 @@ def test_no_state_defeats_what_is_proved_in_20000_programs() -> None:
     assert run(range(1000, 21000)) > 5000
 
 
-def not_established(turns: Turns, candidates: list[Candidate]) -> induction.Kept:
-    begins = turns.first(turns.before)
+def not_established(model: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
+    begins = model.first(model.before)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(induction, "_shown", lambda candidate, flow: flow is begins or HELD(candidate, flow))
-        return KEPT(turns._replace(first=lambda flow: begins), candidates)
+        patch.setattr(induction, "_proved", lambda candidate, flow: flow is begins or HELD(candidate, flow))
+        return KEPT(model._replace(first=lambda flow: begins), candidates)
 
 
-def not_kept(turns: Turns, candidates: list[Candidate]) -> induction.Kept:
-    return KEPT(turns._replace(block=()), candidates)
+def not_kept(model: LoopModel, candidates: list[Candidate]) -> induction.ProvedCandidates:
+    return KEPT(model._replace(block=()), candidates)
 
 
-def broken_off(candidate: Candidate, turns: Turns, broken: list[Flow]) -> bool:
+def broken_off(candidate: Candidate, model: LoopModel, broken: list[Flow]) -> bool:
     return True
 
 
@@ -115,13 +115,13 @@ def nothing_in_loops(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
     return flow
 
 
-def no_continue(block: stmt.Block, flows: list[Flow], ways: induction._Ways) -> list[Flow]:
-    left = FOLLOW(block, flows, ways)
-    ways.turned.clear()
+def no_continue(block: stmt.Block, flows: list[Flow], paths: induction._Paths) -> list[Flow]:
+    left = FOLLOW(block, flows, paths)
+    paths.turned.clear()
     return left
 
 
-KEPT, FOLLOW, HELD = induction.kept, induction._follow, induction._shown
+KEPT, FOLLOW, HELD = induction.kept, induction._paths_through, induction._proved
 
 
 SHOWN = {
@@ -182,9 +182,9 @@ def test_an_index_that_a_loop_may_leave_wrong_is_reported(block: str) -> None:
     [
         ("kept", not_established),
         ("kept", not_kept),
-        ("_holds_behind", broken_off),
-        ("_around", nothing_in_loops),
-        ("_follow", no_continue),
+        ("_holds_after_loop", broken_off),
+        ("_after_inner_loop", nothing_in_loops),
+        ("_paths_through", no_continue),
     ],
 )
 def test_a_seeded_fault_is_found(name: str, fault: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,8 @@ from koordgen.lang.analyze.facts.linear import (
     TRUE,
     And,
     AtLeastZero,
-    Choice,
-    Fact,
+    BoolFact,
+    ConditionalTerm,
     Formula,
     Length,
     Linear,
@@ -41,7 +41,7 @@ simple = st.builds(
 )
 quotients = st.builds(lambda e, d: variable(Quotient(e, d)), simple, st.integers(1, 4))
 remainders = st.builds(lambda e, d: variable(Remainder(e, d)), simple, st.just(variable(N_SYS)))
-choices = st.builds(lambda c, a, b: variable(Choice(AtLeastZero(c), a, b)), simple, simple, simple)
+choices = st.builds(lambda c, a, b: variable(ConditionalTerm(AtLeastZero(c), a, b)), simple, simple, simple)
 terms = st.one_of(simple, simple, st.builds(combine, simple, st.one_of(quotients, remainders, choices)))
 atoms = st.one_of(
     st.builds(AtLeastZero, terms),
@@ -114,15 +114,15 @@ def test_a_length_is_never_negative() -> None:
 
 
 def test_facts_contradict_themselves_only() -> None:
-    on, off = Fact("local on", True), Fact("local on", False)
+    on, off = BoolFact("local on", True), BoolFact("local on", False)
     assert unsat((on, off))
     assert unsat((Or((And((on, FALSE)), off)), on))
-    assert not unsat((on, Fact("local ready", False)))
+    assert not unsat((on, BoolFact("local ready", False)))
     assert not unsat((linear.UNKNOWN, negate(linear.UNKNOWN)))
 
 
 def test_an_example_that_depends_on_what_is_unknown_is_not_certain() -> None:
-    example = find((Fact("local on", True), less(constant(0), variable(PID))), {})
+    example = find((BoolFact("local on", True), less(constant(0), variable(PID))), {})
     assert example is not None and not example.certain and example.values[PID] > 0
 
 

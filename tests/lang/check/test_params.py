@@ -79,7 +79,7 @@ def test_no_first_value_becomes_infinite() -> None:
     program = check(parse(source)[0], source)[0]
     assert program is not None
     assert params.with_params(program, {"p": 1.5}) != program
-    with pytest.raises(params.BadParam, match="the first value of f is too large for a float"):
+    with pytest.raises(params.BadParam, match="the initial value of f is too large for a float"):
         params.with_params(program, {"p": 2})
 
 
@@ -117,9 +117,9 @@ def test_a_value_that_does_not_fit_its_param(name: str, value: params.Value, tol
 @pytest.mark.parametrize(
     ("first", "value", "told"),
     [
-        ("xs[2]", [1, 2], "the first value of k has no value"),
-        ("7 // xs[0]", [0, 0, 0], "the first value of k has no value"),
-        ("xs[0] * xs[1]", [2**40, 2**40, 0], "the first value of k would be an int beyond 64 bits"),
+        ("xs[2]", [1, 2], "the initial value of k has no value"),
+        ("7 // xs[0]", [0, 0, 0], "the initial value of k has no value"),
+        ("xs[0] * xs[1]", [2**40, 2**40, 0], "the initial value of k would be an int beyond 64 bits"),
     ],
 )
 def test_values_with_which_a_variable_would_begin_with_none_are_refused(
@@ -152,5 +152,5 @@ def test_a_value_on_the_command_line(text: str, value: params.Value) -> None:
 
 
 def test_broken_json_on_the_command_line() -> None:
-    with pytest.raises(params.BadParam, match="no JSON"):
+    with pytest.raises(params.BadParam, match="not JSON"):
         params.parse_value("[1, 2")

@@ -10,20 +10,20 @@ from pathlib import Path
 import pytest
 
 from koordgen.build.bundle.budget import check_budget, check_link
-from koordgen.build.bundle.calls import check_calls
 from koordgen.build.bundle.drivers import check_drivers, driver_files
 from koordgen.build.bundle.functions import check_functions, functions_file
-from koordgen.build.bundle.offer import check_ports
+from koordgen.build.bundle.port_calls import check_calls
+from koordgen.build.bundle.ports import check_ports
 from koordgen.build.pipeline import Rejected, read_source
 from koordgen.cli import main
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest
-from koordgen.fleet.medium import Link
-from koordgen.fleet.offered import Driver
+from koordgen.fleet.medium import Medium
+from koordgen.fleet.settings import DriverClass
 from koordgen.lang import explain
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import CATALOGUE, Diagnostic, together
-from koordgen.lang.explain import Explanation, explanation, show
+from koordgen.lang.explain import CodeExplanation, explanation, show
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
@@ -43,7 +43,7 @@ def of_program(text: str) -> tuple[Program | None, list[str]]:
     return None if unread else program, [d.code for d in together(unread, found)]
 
 
-def examples(found: Explanation) -> Iterator[tuple[str, str, set[str]]]:
+def examples(found: CodeExplanation) -> Iterator[tuple[str, str, set[str]]]:
     """Each example with the line that leads to it and the codes that it must give."""
     yield found.wrong_note, found.wrong, {found.code}
     yield found.right_note, found.right, set()
@@ -152,7 +152,7 @@ def with_driver(program: Program, note: str, folder: Path) -> list[Diagnostic]:
         return []
     methods = "  def sense(self): return {}\n  def command(self, actuators): pass\n"
     (folder / "own.py").write_text(f"class Own:\n  sensors = {given[2]}\n{methods}")
-    drivers = {given[1]: Driver("own", "Own")}
+    drivers = {given[1]: DriverClass("own", "Own")}
     return check_drivers(program, drivers, driver_files(drivers, program, [folder]), ())
 
 
@@ -170,7 +170,7 @@ def test_examples_of_builds(code: str, tmp_path: Path) -> None:
         told += check_functions(program, functions_file(program, tmp_path, None))
         told += with_driver(program, found.wrong_note, tmp_path)
         told += check_budget(program, int(robots[1]) if robots else 1)
-        linked = Link() if "on a link of 6 Mbit/s" in found.wrong_note else None
+        linked = Medium() if "on a link of 6 Mbit/s" in found.wrong_note else None
         told += check_link(program, int(robots[1]) if robots else 1, delta=0.1, link=linked)
         told += check_calls(program, int(robots[1]) if robots else 1, delta=0.1, budget=0.01)
         assert {d.code for d in told} == wanted, note

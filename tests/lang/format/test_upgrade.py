@@ -10,7 +10,7 @@ import pytest
 from koordgen.cli import main
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import Diagnostic, Edit, InternalError
-from koordgen.lang.format.upgrade import Checker, applied, compatible, upgraded
+from koordgen.lang.format.upgrade import Checker, apply_edits, non_overlapping, upgraded
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
 
@@ -99,19 +99,19 @@ def test_a_program_of_2020_is_upgraded_and_means_the_same(tmp_path: Path) -> Non
 def test_edits_are_made_in_any_order() -> None:
     edits = [edit(1, 5, 1, 8, "2"), edit(4, 1, 4, 5, "vier"), edit(1, 1, 1, 4, ""), edit(2, 6, 4, 1, " und ")]
     wanted = " 2\nthree und vier"
-    assert applied(TEXT, edits) == applied(TEXT, reversed(edits)) == wanted
-    assert applied(TEXT, []) == TEXT
+    assert apply_edits(TEXT, edits) == apply_edits(TEXT, reversed(edits)) == wanted
+    assert apply_edits(TEXT, []) == TEXT
 
 
 def test_insertions_at_one_place_keep_their_order_and_touch_replacements() -> None:
     edits = [edit(1, 1, 1, 4, "1"), edit(1, 1, 1, 1, "("), edit(1, 1, 1, 1, "["), edit(1, 4, 1, 4, ")")]
-    assert applied(TEXT, edits) == "([1) two\nthree\n\nfour"
-    assert applied("", [edit(1, 1, 1, 1, "a")]) == "a"
+    assert apply_edits(TEXT, edits) == "([1) two\nthree\n\nfour"
+    assert apply_edits("", [edit(1, 1, 1, 1, "a")]) == "a"
 
 
 def test_edits_that_overlap_are_refused() -> None:
     with pytest.raises(ValueError, match="line 1"):
-        applied(TEXT, [edit(1, 1, 1, 5, ""), edit(1, 4, 1, 8, "")])
+        apply_edits(TEXT, [edit(1, 1, 1, 5, ""), edit(1, 4, 1, 8, "")])
 
 
 def test_a_notes_edits_are_taken_whole_or_left() -> None:
@@ -121,7 +121,7 @@ def test_a_notes_edits_are_taken_whole_or_left() -> None:
     first = edit(1, 1, 1, 4, "1")
     last = edit(4, 1, 4, 5, "4")
     notes = [note(first), note(edit(1, 3, 1, 5, ""), edit(2, 1, 2, 1, "no")), note(last)]
-    assert compatible(notes) == [first, last]
+    assert non_overlapping(notes) == [first, last]
 
 
 def fake_check(meaning: str = r"\s+") -> Checker:
@@ -153,5 +153,5 @@ def test_an_upgrade_that_changes_the_meaning_is_found_out() -> None:
 
 def test_an_upgrade_that_breaks_the_program_is_found_out() -> None:
     broken = Diagnostic("K050", "note", "", Span(1, 1, 1, 2), edits=(edit(1, 1, 1, 2, "("),))
-    with pytest.raises(InternalError, match=r"a\.koord cannot be read"):
+    with pytest.raises(InternalError, match=r"a\.koord can no longer be parsed"):
         upgraded(Source("a.koord", "local: int b\n"), lambda tree, source: (None, [broken]))

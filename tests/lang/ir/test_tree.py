@@ -104,9 +104,9 @@ def test_the_fields_with_children_of_every_class() -> None:
 
 def test_drafts_have_children_and_are_no_statements() -> None:
     index, stop = expr.Pid(INT, AT), stmt.Stop(AT)
-    assert [child_fields(k) for k in (draft.SlotPlace, draft.Atomic, draft.Unread)] == [("index",), (), ()]
-    assert children(draft.Wrong((index,), AT)) == (index,)
-    block: tuple[draft.Draft, ...] = (draft.Atomic(AT), draft.Unread(AT), stop, draft.Wrong((index,), AT))
+    assert [child_fields(k) for k in (draft.SlotPlace, draft.Atomic, draft.UnparsedStmt)] == [("index",), (), ()]
+    assert children(draft.WrongStmt((index,), AT)) == (index,)
+    block: tuple[draft.Draft, ...] = (draft.Atomic(AT), draft.UnparsedStmt(AT), stop, draft.WrongStmt((index,), AT))
     assert list(statements(block)) == [stop]
 
 
@@ -132,9 +132,9 @@ def test_a_bound_that_is_not_there_is_no_child(start: expr.Expr | None, stop: ex
 def test_only_nodes_of_the_ir_have_children() -> None:
     wrongs: list[Any] = [written.Name("x", AT), AT, [ONE]]
     for wrong in wrongs:
-        with pytest.raises(TypeError, match="is no node of the IR"):
+        with pytest.raises(TypeError, match="is not a node of the IR"):
             children(wrong)
-        with pytest.raises(TypeError, match="is no node of the IR"):
+        with pytest.raises(TypeError, match="is not a node of the IR"):
             list(walk(wrong))
 
 

@@ -277,8 +277,8 @@ def test_extern_functions_are_called_under_their_contracts() -> None:
     for found, effect, why in (
         (-1, "n = rank(xs, t)", "ensures"),
         (7, "n = rank([], t)", "requires"),
-        (7.0, "n = rank(xs, t)", "which is no int"),
-        (True, "n = rank(xs, t)", "which is no int"),
+        (7.0, "n = rank(xs, t)", "which is not of type int"),
+        (True, "n = rank(xs, t)", "which is not of type int"),
     ):
         outcome = ranked(found, effect)
         assert isinstance(outcome, Discarded) and why in outcome.reason
@@ -314,7 +314,10 @@ def test_a_port_call_is_an_input() -> None:
     state, _ = planned("Motion.path = Motion.planner(Motion.position, walls)\nn = len(Motion.path)")
     assert state.robots[0].ports["Motion.path"] == (Point(), Point(9.0, 0.0, 0.0))
     assert state.robots[0].locals["n"] == 2
-    for effect, why in (("(Motion.position)", "no map"), ("(Motion.position, [Grid(0, 0, 1)])", "no List<Point>")):
+    for effect, why in (
+        ("(Motion.position)", "no map"),
+        ("(Motion.position, [Grid(0, 0, 1)])", "not of type List<Point>"),
+    ):
         _, outcome = planned(f"Motion.path = Motion.planner{effect}")
         assert isinstance(outcome, Discarded) and why in outcome.reason
 

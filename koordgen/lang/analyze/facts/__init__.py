@@ -1,6 +1,6 @@
-"""Facts: what holds at a point of an event, decided without running it.
+"""Facts: conditions known to hold at a program point, derived without running the program.
 
-Owns: linear terms over integers, conditions on the way to a point, loops by induction.
-Offers: `path`, `terms`, `decide`, `induction` and their like to `rules` and to the walk.
+Owns: linear terms over integers, conditions passed on the path to a point, loops by induction.
+Offers: all of its modules (`path`, `terms`, `decide`, `induction`, ...) to `rules` and to the walk.
 Must not import: rules.
 """

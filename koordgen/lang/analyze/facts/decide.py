@@ -1,8 +1,8 @@
-"""Decides conditions that are linear in integers: what cannot hold, and examples of what can.
+"""Decision procedure for linear integer conditions: refutes formulas, or finds satisfying examples.
 
 `unsat` is sound: True means that no integers satisfy the formulas (Fourier-Motzkin elimination, with rows tightened to
-integers, on each branch of the disjunctions). `find` looks for an example among small values. Neither is complete;
-where both fail nothing is known.
+integers, on each branch of the disjunctions). `find` searches an example among small values. Neither is complete; if
+both fail, nothing is known.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from koordgen.lang.analyze.facts.linear import (
     PID,
     And,
     AtLeastZero,
-    Choice,
-    Fact,
+    BoolFact,
+    ConditionalTerm,
     Formula,
     Length,
     Linear,
     Or,
     Quotient,
     Remainder,
-    Unknown,
+    UnknownCondition,
     Var,
     at_least,
     combine,
@@ -44,7 +44,7 @@ MOST_BRANCHES = 100
 MOST_ROWS = 300
 MOST_EXAMPLES = 6000
 
-# What holds of every fleet: N_SYS >= 1 and 0 <= pid < N_SYS.
+# Facts about every fleet: N_SYS >= 1 and 0 <= pid < N_SYS.
 FLEET: tuple[Formula, ...] = (
     at_least(variable(N_SYS), constant(1)),
     at_least(variable(PID), constant(0)),
@@ -54,18 +54,24 @@ _FLEET_NAMES = {PID, N_SYS}
 
 
 def unsat(formulas: Iterable[Formula]) -> bool:
-    """Whether no robot of any fleet satisfies all formulas; False may also mean that it was too hard to tell."""
+    """Return whether no robot of any fleet can satisfy all formulas.
+
+    The result False may also mean that a limit was reached.
+    """
     return _unsat(tuple(formulas))
 
 
-@lru_cache(1000)  # programs ask the same again and again, of one index in many events
+@lru_cache(1000)  # programs use the same index in many events, so the same question is asked repeatedly
 def _unsat(formulas: tuple[Formula, ...]) -> bool:
-    return _closed([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
+    return _is_refuted([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
 
 
 def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
-    """Those facts that share variables with a condition, or with a fact that does: the others cannot help to refute it,
-    unless they refute themselves. pid and N_SYS share what holds of every fleet."""
+    """Return the facts that are connected to a condition by shared variables.
+
+    The other facts cannot help to refute the condition, unless they contradict each other. pid and N_SYS are always
+    connected, by the facts about every fleet.
+    """
     names = set(variables(about))
     left = [(fact, set(variables(fact))) for fact in facts]
     kept: list[Formula] = []
@@ -83,14 +89,14 @@ def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
     return tuple(kept)
 
 
-def _closed(
+def _is_refuted(
     pending: list[Formula], rows: list[Linear], facts: dict[object, bool], defined: frozenset[Var], budget: list[int]
 ) -> bool:
-    """Whether every branch of the formulas ends in a contradiction."""
+    """Return whether every branch of the formulas ends in a contradiction. Tries at most `budget[0]` branches."""
     open_: list[Or] = []
     ways: list[tuple[Formula, ...]] = []
     limits: _Limits = {}
-    while pending:  # until no disjunction is left with a single way
+    while pending:  # until each disjunction has two or more possible parts
         while pending:
             match formula := pending.pop():
                 case AtLeastZero(linear):
@@ -99,7 +105,7 @@ def _closed(
                         if not isinstance(var, str) and var not in defined:
                             defined |= {var}
                             pending.extend(_definition(var))
-                case Fact(key, holds):
+                case BoolFact(key, holds):
                     if facts.setdefault(key, holds) != holds:
                         return True
                 case And(parts):
@@ -108,7 +114,7 @@ def _closed(
                     if not parts:
                         return True
                     open_.append(formula)
-                case Unknown():
+                case UnknownCondition():
                     pass
                 case _:
                     assert_never(formula)
@@ -119,10 +125,10 @@ def _closed(
         left: list[Or] = []
         ways = []
         for either in open_:
-            told = [_told(part, limits, facts) for part in either.parts]
-            if True in told:
+            truths = [_truth_within(part, limits, facts) for part in either.parts]
+            if True in truths:
                 continue
-            possible = tuple([part for part, truth in zip(either.parts, told, strict=True) if truth is None])
+            possible = tuple([part for part, truth in zip(either.parts, truths, strict=True) if truth is None])
             if not possible:
                 return True
             if len(possible) == 1:
@@ -131,7 +137,7 @@ def _closed(
                 left.append(either)
                 ways.append(possible)
         open_ = left
-    if not _near_limits(rows, limits) and _contradictory(rows):
+    if not _holds_at_limits(rows, limits) and _is_contradictory(rows):
         return True
     if not open_:
         return False
@@ -139,7 +145,7 @@ def _closed(
     others = [Or(way) for i, way in enumerate(ways) if i != least]
     for part in ways[least]:
         budget[0] -= 1
-        if budget[0] < 0 or not _closed([part, *others], list(rows), dict(facts), defined, budget):
+        if budget[0] < 0 or not _is_refuted([part, *others], list(rows), dict(facts), defined, budget):
             return False
     return True
 
@@ -149,7 +155,10 @@ _ANY = (None, None)
 
 
 def _limits(rows: list[Linear]) -> _Limits | None:
-    """The least and the greatest value of each variable, by the rows about it alone; None where there is no value."""
+    """Return the bounds of each variable from the rows with no other variable.
+
+    Returns None if some variable has no value.
+    """
     limits: _Limits = {}
     for row in rows:
         if len(row.terms) == 1:
@@ -169,8 +178,11 @@ def _limits(rows: list[Linear]) -> _Limits | None:
     return limits
 
 
-def _near_limits(rows: list[Linear], limits: _Limits) -> bool:
-    """Whether the rows hold of values at the limits of the variables: a quick way to see that nothing contradicts."""
+def _holds_at_limits(rows: list[Linear], limits: _Limits) -> bool:
+    """Return whether all rows hold for values at the variables' limits.
+
+    This is a quick proof that the rows can be satisfied.
+    """
     values: dict[Var, int] = {}
     for row in rows:
         for var, _ in row.terms:
@@ -188,29 +200,29 @@ def _near_limits(rows: list[Linear], limits: _Limits) -> bool:
     return True
 
 
-def _told(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
-    """Whether a formula holds, as far as limits and facts tell."""
+def _truth_within(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
+    """Return whether a formula holds, by limits and facts alone; None if they do not decide it."""
     match formula:
         case AtLeastZero(linear):
             least, most = _least(linear, limits, 1), _least(linear, limits, -1)
             if least is not None and least >= 0:
                 return True
             return False if most is not None and most > 0 else None
-        case Fact(key, holds):
+        case BoolFact(key, holds):
             known = facts.get(key)
             return None if known is None else known == holds
         case And(parts):
-            told = [_told(part, limits, facts) for part in parts]
-            return False if False in told else None if None in told else True
+            truths = [_truth_within(part, limits, facts) for part in parts]
+            return False if False in truths else None if None in truths else True
         case Or(parts):
-            told = [_told(part, limits, facts) for part in parts]
-            return True if True in told else None if None in told else False
+            truths = [_truth_within(part, limits, facts) for part in parts]
+            return True if True in truths else None if None in truths else False
         case _:
             return None
 
 
 def _least(linear: Linear, limits: _Limits, sign: int) -> int | None:
-    """The least value of sign * linear; None where there is none."""
+    """Return the least value of sign * linear within the limits; None if it is unbounded."""
     total = sign * linear.constant
     for var, factor in linear.terms:
         low, high = limits.get(var, _ANY)
@@ -222,7 +234,7 @@ def _least(linear: Linear, limits: _Limits, sign: int) -> int | None:
 
 
 def _definition(var: Var) -> list[Formula]:
-    """What a derived variable's value satisfies."""
+    """Return the conditions that define a derived variable, such as a quotient."""
     match var:
         case Length():
             return [at_least(variable(var), constant(0))]
@@ -236,7 +248,7 @@ def _definition(var: Var) -> list[Formula]:
             positive = at_least(divisor, constant(1))
             range_ = And((at_least(variable(var), constant(0)), less(variable(var), divisor)))
             return [Or((negate(positive), range_))]
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             return [
                 Or(
                     (
@@ -249,8 +261,8 @@ def _definition(var: Var) -> list[Formula]:
             return []
 
 
-def _contradictory(rows: Iterable[Linear]) -> bool:
-    """Whether no integers make all rows >= 0; eliminates one variable after the other."""
+def _is_contradictory(rows: Iterable[Linear]) -> bool:
+    """Return whether no integers make all rows >= 0, by elimination of one variable after the other."""
     system: dict[tuple[tuple[Var, int], ...], int] = {}
     for row in rows:
         if not _add(system, dict(row.terms), row.constant):
@@ -262,7 +274,7 @@ def _contradictory(rows: Iterable[Linear]) -> bool:
                 counts.setdefault(var, [0, 0])[factor > 0] += 1
         if not counts:
             return False
-        # Of integers only what has no factor but 1 and -1 is eliminated without loss: such a variable goes first.
+        # Over integers, elimination is exact only for variables with factors 1 and -1: these go first.
         rough = {var for terms in system for var, factor in terms if abs(factor) != 1}
         least = min(counts, key=lambda v: (v in rough, counts[v][0] * counts[v][1]))
         lower, upper, rest = [], [], {}
@@ -286,7 +298,10 @@ def _contradictory(rows: Iterable[Linear]) -> bool:
 
 
 def _add(system: dict[tuple[tuple[Var, int], ...], int], sums: dict[Var, int], bound: int) -> bool:
-    """Adds the row sums + bound >= 0, divided by what its factors share; False when it can never hold."""
+    """Add the row sums + bound >= 0, divided by the gcd of its factors.
+
+    Returns False if it can never hold.
+    """
     kept = [(var, factor) for var, factor in sums.items() if factor]
     if not kept:
         return bound >= 0
@@ -302,15 +317,18 @@ def _order(term: tuple[Var, int]) -> str:
 
 
 class Example(Node):
-    """Values that satisfy some formulas; `certain` unless that also depends on something unknown."""
+    """Values that satisfy some formulas. `certain`: no unknown condition or value is involved."""
 
     values: dict[str, int]
     certain: bool
 
 
 def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | None:
-    """An example among small values and those near the constants that occur; `params` (their variables' values) stay
-    as they are. Certain examples go first, then fleets of three, which read best."""
+    """Search an example that satisfies the formulas; None if none is found.
+
+    Tries small values, and values near the constants in the formulas. `params` has fixed values of variables. Prefers
+    certain examples, then fleets of three robots, which read best.
+    """
     wanted = And(tuple(formulas))
     marks = {abs(c) for c in _constants(wanted) if abs(c) < 2**62} | {0}
     near = sorted({mark + d for mark in marks for d in (-1, 0, 1, 2)})
@@ -319,7 +337,7 @@ def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | No
     tries = 0
     for position, size in enumerate(sizes):
         if possible is not None and position >= 5:
-            return possible  # what is uncertain in small fleets seldom gets certain in larger ones
+            return possible  # larger fleets seldom give a certain example if small ones did not
         for pid in dict.fromkeys(p for p in [*range(24), *range(size - 4, size), *near] if 0 <= p < size):
             tries += 1
             if tries > MOST_EXAMPLES:
@@ -347,7 +365,7 @@ def _constants(item: Formula | Linear | Var) -> Iterator[int]:
         case Remainder(operand, divisor):
             yield from _constants(operand)
             yield from _constants(divisor)
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             yield from _constants(condition)
             yield from _constants(then)
             yield from _constants(orelse)

@@ -1,6 +1,6 @@
-"""What is known at a point of an event: the conditions passed on the way and the values of its variables.
+"""Facts known at a program point: conditions passed on the path to it, and values of variables.
 
-Immutable: a branch of the program takes its own Flow from its parent's.
+A Flow is immutable: each branch derives its own Flow from its parent's.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from koordgen.lang.analyze.facts.linear import (
     UNKNOWN,
     And,
     AtLeastZero,
-    Fact,
+    BoolFact,
     Formula,
     Length,
     Linear,
@@ -25,7 +25,7 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import Node
 
-# To forget is always right; what is kept is bounded so that a long event costs no more a line than a short one.
+# Forgetting a fact is always sound. The limits keep the time for each line constant, however long an event is.
 MOST_FACTS = 12
 MOST_VALUES = 20
 
@@ -35,8 +35,11 @@ _NONE: _Names = frozenset()
 _FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 
 
-class Known(Node):
-    """A condition that holds; the variables that it depends on; the condition of the program that it comes from."""
+class KnownCondition(Node):
+    """A condition that holds.
+
+    `about` has the variables that it depends on, `origin` the condition of the program that it comes from.
+    """
 
     formula: Formula
     about: frozenset[str]
@@ -44,12 +47,14 @@ class Known(Node):
 
 
 class Flow(Node):
-    """`known` holds here, the event's guard first; `values` are those of variables (by `variable_of`; lengths with
-    `len ` before it) that are a term or a condition over what does not change, each with the variables that it
-    depends on; `about` has all variables that anything here depends on, and maybe others. A Flow is asked, never
-    changed."""
+    """Facts known at a point. Immutable.
 
-    known: tuple[Known, ...] = ()
+    `known` has the conditions that hold, the event's guard first. `values` has variables whose value is known as a term
+    or a condition, each with the variables that it depends on. Its keys are names by `variable_of`, after `len ` for
+    the variable's length. `about` is a superset of all variables that the facts depend on.
+    """
+
+    known: tuple[KnownCondition, ...] = ()
     values: dict[str, tuple[Linear | Formula, frozenset[str]]] = {}  # noqa: RUF012 - never changed
     about: frozenset[str] = frozenset()
 
@@ -62,8 +67,11 @@ class Flow(Node):
         return None if found is None else found[0]
 
     def relevant(self, names: frozenset[str]) -> list[Formula]:
-        """The facts that share variables with `names`, or with a fact that does: the others cannot help to refute
-        anything about these, unless they refute themselves. pid and N_SYS share what holds of every fleet."""
+        """Return the facts that are connected to `names` by shared variables.
+
+        Other facts cannot help to refute a condition about these names, unless they contradict each other. pid and
+        N_SYS are always connected, by the facts about every fleet.
+        """
         if not names.isdisjoint(_FLEET):
             names |= _FLEET
         if names.isdisjoint(self.about):
@@ -81,20 +89,23 @@ class Flow(Node):
                     grown = True
         return kept
 
-    def knowing(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
-        """This, and the condition holds; `about`: its variables, where they are known already."""
+    def assuming(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
+        """Return these facts and a condition. `about` has its variables, if the caller knows them."""
         if condition is UNKNOWN or (type(condition) is And and not condition.parts):
             return self
         if about is None:
             about = names_of(condition)
         known = self.known if len(self.known) < MOST_FACTS else (self.known[0], *self.known[2:])
-        return Flow((*known, Known(condition, about, condition)), self.values, self.about | about)
+        return Flow((*known, KnownCondition(condition, about, condition)), self.values, self.about | about)
 
     def forgetting(self, names: frozenset[str], sized: frozenset[str] = frozenset()) -> Flow:
-        """This, without what depends on any of these variables; of those that are in `sized` the lengths stay."""
+        """Return these facts without those that depend on `names`.
+
+        Facts about the lengths of `sized` are kept.
+        """
         if names.isdisjoint(self.about):
             return self
-        known = [rest for k in self.known for rest in _without(k, names)]
+        known = [rest for k in self.known for rest in _remaining(k, names)]
         known += [k for k in self.known if not k.about.isdisjoint(sized) and independent(k.formula, names, sized)]
         values = {}
         for name, value in self.values.items():
@@ -107,8 +118,12 @@ class Flow(Node):
         return Flow(tuple(known[:MOST_FACTS]), values, self.about)
 
     def assigned(self, name: str, value: Linear | Formula | None, length: bool = False) -> Flow:
-        """After an assignment: what was known of the variable is gone, and its new value, or its length, may be known.
-        A step (`n = n + 1`) moves what was known along."""
+        """Return the facts after an assignment.
+
+        `value` is the new value, or the new length, None if it is unknown.
+
+        Facts about the old value are dropped. A step such as `n = n + 1` shifts them instead.
+        """
         if value is None:
             return self.forgetting(frozenset((name,)))
         about = names_of(value)
@@ -125,55 +140,55 @@ class Flow(Node):
         if not isinstance(value, Linear) or value.terms != ((var, 1),):
             return self.forgetting(frozenset((name,)))
         by = value.constant
-        known: list[Known] = []
+        known: list[KnownCondition] = []
         for item in self.known:
             if name not in item.about:
                 known.append(item)
                 continue
             for part in item.formula.parts if isinstance(item.formula, And) else (item.formula,):
-                if _only_as(var, name, part):
+                if _occurs_only_as(var, name, part):
                     moved = linear.shifted(part, var, by)
-                    known.append(Known(moved, names_of(moved), item.origin))
+                    known.append(KnownCondition(moved, names_of(moved), item.origin))
         values = {n: v for n, v in self.values.items() if _owner(n) != name and name not in v[1]}
         flow = Flow(tuple(known[:MOST_FACTS]), values, self.about)
         longer = isinstance(var, Length) and by > 0
-        return flow.knowing(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
+        return flow.assuming(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
 
     def joined(self, other: Flow) -> Flow:
-        """Where two ways meet: what is known on both."""
+        """Return the facts known on both of two paths that meet."""
         if self is other:
             return self
         same = {id(known) for known in other.known}
         formulas = [known.formula for known in other.known]
         known = tuple([k for k in self.known if id(k) in same or k.formula in formulas])
-        values = {n: v for n, v in self.values.items() if n in other.values and _alike(v, other.values[n])}
+        values = {n: v for n, v in self.values.items() if n in other.values and _same_value(v, other.values[n])}
         return Flow(known, values, self.about)
 
 
-def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[Known]:
-    """What is still known of a variable that holds a remainder when the dividend changes."""
+def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[KnownCondition]:
+    """Return the range of a variable that holds a remainder: it remains known after the dividend changed."""
     match value:
         case Linear(((Remainder(_, divisor), 1),), 0) if not name.startswith("len "):
             term = linear.variable(name)
             range_ = And((linear.at_least(term, linear.constant(0)), linear.less(term, divisor)))
             fact = Or((linear.less(divisor, linear.constant(1)), range_))
             about = names_of(fact)
-            return [Known(fact, about, fact)] if about.isdisjoint(names) else []
+            return [KnownCondition(fact, about, fact)] if about.isdisjoint(names) else []
         case _:
             return []
 
 
-def _alike(first: _Valued, second: _Valued) -> bool:
+def _same_value(first: _Valued, second: _Valued) -> bool:
     return first is second or first[0] == second[0]
 
 
 def _owner(name: str) -> str:
-    """The variable whose value or length an entry of `values` is."""
+    """Return the variable of a key of `values`, which may stand for its length."""
     return name.removeprefix("len ")
 
 
-def _without(known: Known, names: _Names) -> tuple[Known, ...]:
-    """What is left of a fact when some variables change: of a conjunction, its other parts."""
+def _remaining(known: KnownCondition, names: _Names) -> tuple[KnownCondition, ...]:
+    """Return what remains of a fact when some variables change: of a conjunction, the parts without them."""
     if known.about.isdisjoint(names):
         return (known,)
     if not isinstance(known.formula, And):
@@ -183,28 +198,28 @@ def _without(known: Known, names: _Names) -> tuple[Known, ...]:
     if not left:
         return ()
     about = _NONE.union(*(a for _, a in left))
-    return (Known(And(tuple([part for part, _ in left])), about, known.origin),)
+    return (KnownCondition(And(tuple([part for part, _ in left])), about, known.origin),)
 
 
 def independent(item: Linear | Formula, names: _Names, sized: _Names) -> bool:
-    """Whether a term or a formula stays when these variables change, all but the lengths of those in `sized`."""
+    """Return whether a term or formula keeps its value when `names` change, all but lengths of `sized`."""
     formula = AtLeastZero(item) if isinstance(item, Linear) else item
-    return all(n in sized and _only_as(Length(n), n, formula) for n in names_of(item) & names)
+    return all(n in sized and _occurs_only_as(Length(n), n, formula) for n in names_of(item) & names)
 
 
-def _only_as(var: Var, name: str, formula: Formula) -> bool:
-    """Whether a formula depends on a variable only by the plain term `var`."""
+def _occurs_only_as(var: Var, name: str, formula: Formula) -> bool:
+    """Return whether a formula depends on the variable `name` only through the term `var`."""
     match formula:
         case AtLeastZero(term):
             return all(other == var or name not in names_of_var(other) for other, _ in term.terms)
         case And(parts) | Or(parts):
-            return all(_only_as(var, name, part) for part in parts)
+            return all(_occurs_only_as(var, name, part) for part in parts)
         case _:
             return name not in names_of(formula)
 
 
 def variable_of(node: object) -> str | None:
-    """The name by which what is read or written is known here: "local count", "port Motion.position"."""
+    """Return a variable's name in a Flow: "local count", "port Motion.position"."""
     match node:
         case ir.LocalRead(name) | stmt.LocalPlace(name):
             return f"local {name}"
@@ -223,7 +238,7 @@ def variable_of(node: object) -> str | None:
 
 
 def names_of(item: Linear | Formula) -> frozenset[str]:
-    """All variables that a term or a formula depends on."""
+    """Return all variables that a term or a formula depends on."""
     found: set[str] = set()
     _collect(item, found)
     return frozenset(found)
@@ -242,7 +257,7 @@ def _collect(item: Linear | Formula, found: set[str]) -> None:
     elif kind is And or kind is Or:
         for part in item.parts:  # type: ignore[union-attr]
             _collect(part, found)
-    elif kind is Fact:
+    elif kind is BoolFact:
         _add_keys((item.key,), found)  # type: ignore[union-attr]
 
 
@@ -263,8 +278,10 @@ def names_of_var(var: Var) -> frozenset[str]:
 
 
 def _add_reads(key: object, found: set[str]) -> None:
-    """The variables that the value of an expression depends on; of a tuple, such as an operator and what it is asked
-    of, those of the expressions in it."""
+    """Add the variables that an expression depends on.
+
+    Of a tuple such as (operator, operand): those of the expressions in it.
+    """
     if isinstance(key, tuple):
         for part in key:
             _add_reads(part, found)

@@ -1,9 +1,9 @@
-"""Induction over the turns of a loop: conditions that hold where it begins, and that each turn keeps.
+"""Loop invariants by induction: conditions that hold before a loop, and that each iteration preserves.
 
-Candidates are the program's loop invariants, and bounds that nobody has to write down: a variable stays above (or
-below) the value that it begins with, and within the bound that the condition of `while` sets. A candidate that is not
-shown for each way through the block is dropped, and the others are tried again without it. What is left is known in
-the loop, and behind it as far as it holds where `break` leaves.
+Candidates are the program's loop invariants, and bounds that are guessed: a variable stays above (or below) its initial
+value, and within the bound that the condition of `while` sets. A candidate that is not proved on each path through the
+block is dropped, and the others are tried again without it. The remaining candidates are known inside the loop, and
+after it if they also hold at each `break`.
 """
 
 from __future__ import annotations
@@ -15,24 +15,30 @@ from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.decide import unsat
 from koordgen.lang.analyze.facts.flow import independent, names_of, variable_of
 from koordgen.lang.analyze.facts.linear import Formula, Linear
-from koordgen.lang.analyze.facts.terms import Flow, formula, learned, term
+from koordgen.lang.analyze.facts.terms import Flow, after_assignment, formula, term
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import INT
 
-MOST_WAYS = 16  # through a loop's block
-MOST_COUNTERS = 4  # variables of one loop whose bounds are looked for
+MOST_PATHS = 16  # paths through a loop's block
+MOST_COUNTERS = 4  # variables of one loop for which bounds are guessed
 
-Candidate = Callable[[Flow], Formula]  # what is known at a point -> the condition there
+Candidate = Callable[[Flow], Formula]  # facts at a point -> the candidate as a condition there
 Step = Callable[[Flow], Flow]
 
 
-class Turns(NamedTuple):
-    """A loop. `before` is known where it begins, `start` at its head, in terms of what it does not change (the lengths
-    of `sized` stay, too). Of a loop that counts, `first`, `next` and `last` put the value into its variable with which
-    the loop begins, goes on behind a turn, and ends; `counter` is that variable, and `stop` the first value that it
-    does not take, where it counts up. `enter`: a turn begins; `leave`: the loop ends by itself."""
+class LoopModel(NamedTuple):
+    """Loop, described for induction.
+
+    `before` has the facts before the loop; `start` those at its head, which depend only on what the loop does not
+    change: variables outside of `changed`, and lengths of variables in `sized`. `enter` adds the facts at the begin of
+    an iteration, `leave` those when the loop ends without `break`.
+
+    For a loop that counts, `first`, `next` and `last` set its variable to the value at the loop's begin, in the next
+    iteration, and at its end. `counter` is that variable. `stop` is the first value that it does not take, if it counts
+    up and the value is known.
+    """
 
     before: Flow
     start: Flow
@@ -48,92 +54,97 @@ class Turns(NamedTuple):
     stop: Linear | None = None
 
 
-class Kept(NamedTuple):
-    """Conditions that hold at the head of each turn, and those of them that also hold behind the loop."""
+class ProvedCandidates(NamedTuple):
+    """Conditions that hold at the head of each iteration, and those of them that also hold after the loop."""
 
     inside: tuple[Candidate, ...]
-    behind: tuple[Candidate, ...]
+    after_loop: tuple[Candidate, ...]
 
 
-class _Ways:
-    """Ends of a turn, and exits by `break`, each with the facts known there."""
+class _Paths:
+    """Ends of an iteration, and exits by `break`, each with the facts known there."""
 
     def __init__(self) -> None:
         self.turned: list[Flow] = []
         self.broken: list[Flow] = []
 
 
-class _TooMany(Exception):
-    """The block has more ways through it than are looked at."""
+class _TooManyPaths(Exception):
+    """The block has more paths through it than `MOST_PATHS`."""
 
 
-def kept(turns: Turns, candidates: list[Candidate]) -> Kept:
-    """Return the candidates that hold at the loop's head at all times. Sound: each of them is shown where the loop
-    begins, and at the end of each way through the block, given that all of them hold at its head."""
-    begins = turns.first(turns.before)
-    found = [candidate for candidate in candidates if _shown(candidate, begins)]
+def kept(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
+    """Return the candidates that always hold at the loop's head.
+
+    Sound: each of them is proved before the loop, and at the end of each path through the block under the assumption
+    that all of them hold at its head.
+    """
+    begins = model.first(model.before)
+    found = [candidate for candidate in candidates if _proved(candidate, begins)]
     while found:
-        ways = _Ways()
-        flow = turns.enter(knowing(turns.start, found))
+        paths = _Paths()
+        flow = model.enter(assuming(model.start, found))
         try:
-            ways.turned += _follow(turns.block, [flow], ways)
-        except _TooMany:
+            paths.turned += _paths_through(model.block, [flow], paths)
+        except _TooManyPaths:
             break
-        ends = [turns.next(end) for end in ways.turned]
-        left = [candidate for candidate in found if all(_shown(candidate, end) for end in ends)]
+        ends = [model.next(end) for end in paths.turned]
+        left = [candidate for candidate in found if all(_proved(candidate, end) for end in ends)]
         if len(left) == len(found):
-            return Kept(tuple(found), tuple([c for c in found if _holds_behind(c, turns, ways.broken)]))
+            return ProvedCandidates(
+                tuple(found), tuple([c for c in found if _holds_after_loop(c, model, paths.broken)])
+            )
         found = left
-    return Kept((), ())
+    return ProvedCandidates((), ())
 
 
-def _holds_behind(candidate: Candidate, turns: Turns, broken: list[Flow]) -> bool:
+def _holds_after_loop(candidate: Candidate, model: LoopModel, broken: list[Flow]) -> bool:
     """Return whether a condition that holds at the loop's head also holds at each `break`."""
-    if turns.counter in names_of(candidate(turns.start)):
-        broken = [turns.last(end) for end in broken]
-    return all(_shown(candidate, end) for end in broken)
+    if model.counter in names_of(candidate(model.start)):
+        broken = [model.last(end) for end in broken]
+    return all(_proved(candidate, end) for end in broken)
 
 
-def behind(turns: Turns, found: Kept) -> Flow:
-    """Return the facts known behind a loop."""
-    return turns.leave(knowing(turns.last(turns.start), found.behind))
+def after_loop(model: LoopModel, found: ProvedCandidates) -> Flow:
+    """Return the facts known after a loop."""
+    return model.leave(assuming(model.last(model.start), found.after_loop))
 
 
-def knowing(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
-    """Return the facts known at a point where the candidates hold, too."""
+def assuming(flow: Flow, candidates: list[Candidate] | tuple[Candidate, ...]) -> Flow:
+    """Return the facts at a point, with the candidates added."""
     known = flow
     for candidate in candidates:
-        known = known.knowing(candidate(flow))
+        known = known.assuming(candidate(flow))
     return known
 
 
-def _shown(candidate: Candidate, flow: Flow) -> bool:
+def _proved(candidate: Candidate, flow: Flow) -> bool:
     condition = candidate(flow)
     if condition is linear.UNKNOWN:
         return False
     return unsat((*flow.relevant(names_of(condition)), linear.negate(condition)))
 
 
-def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
-    """Return the facts known at the end of a block, on each way to it. Raises _TooMany."""
+def _paths_through(block: stmt.Block, flows: list[Flow], paths: _Paths) -> list[Flow]:
+    """Return the facts at the end of a block, for each path to it. Raises _TooMany."""
     for statement in block:
         match statement:
             case stmt.Assign(place, value):
-                flows = [learned(flow, place, value) for flow in flows]
+                flows = [after_assignment(flow, place, value) for flow in flows]
             case stmt.Let(name, _, value):
-                flows = [learned(flow, stmt.TempPlace(name), value) for flow in flows]
+                flows = [after_assignment(flow, stmt.TempPlace(name), value) for flow in flows]
             case stmt.If(condition, then, orelse):
                 held = [(flow, formula(condition, flow)) for flow in flows]
-                yes = _follow(then, [flow.knowing(known) for flow, known in held], ways)
-                no = _follow(orelse, [flow.knowing(linear.negate(known)) for flow, known in held], ways)
+                yes = _paths_through(then, [flow.assuming(known) for flow, known in held], paths)
+                no = _paths_through(orelse, [flow.assuming(linear.negate(known)) for flow, known in held], paths)
                 flows = yes + no
             case stmt.For() | stmt.While():
-                flows = [_around(statement, flow) for flow in flows]
+                flows = [_after_inner_loop(statement, flow) for flow in flows]
             case stmt.Break():
-                ways.broken += flows
+                paths.broken += flows
                 return []
             case stmt.Continue():
-                ways.turned += flows
+                paths.turned += flows
                 return []
             case stmt.Return() | stmt.Stop():
                 return []
@@ -141,13 +152,13 @@ def _follow(block: stmt.Block, flows: list[Flow], ways: _Ways) -> list[Flow]:
                 pass
             case _:
                 assert_never(statement)
-        if len(flows) + len(ways.turned) + len(ways.broken) > MOST_WAYS:
-            raise _TooMany
+        if len(flows) + len(paths.turned) + len(paths.broken) > MOST_PATHS:
+            raise _TooManyPaths
     return flows
 
 
-def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
-    """Return the facts known behind a loop within the block: those about variables that it may write are dropped."""
+def _after_inner_loop(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
+    """Return the facts after a nested loop: facts about variables that it may write are dropped."""
     changed = {name for name, _ in writes(loop.block)}
     sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
     if isinstance(loop, stmt.For):
@@ -156,8 +167,7 @@ def _around(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
 
 
 def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
-    """Yield the variables that a block may write, by their names in a Flow, and whether a write leaves the length as it
-    was."""
+    """Yield each write in a block: the variable's name in a Flow, and whether the write keeps its length."""
     for statement in statements(block):
         match statement:
             case stmt.Assign(place, ir.Builtin("updated", (changed, *_))) if variable_of(changed) == variable_of(place):
@@ -173,13 +183,13 @@ def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
 # Candidates
 
 
-def written_down(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
-    """The program's loop invariants, each condition that `and` joins by itself."""
+def declared_candidates(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
+    """Return the program's loop invariants as candidates, one for each condition that `and` joins."""
     return [_holds(part) for invariant in invariants for part in conjuncts(invariant.formula)]
 
 
 def conjuncts(node: ir.Expr) -> list[ir.Expr]:
-    """Return what a condition joins by `and`."""
+    """Return the conditions that a condition joins by `and`."""
     if isinstance(node, ir.Logic) and node.op == "and":
         return conjuncts(node.left) + conjuncts(node.right)
     return [node]
@@ -189,35 +199,38 @@ def _holds(node: ir.Expr) -> Candidate:
     return lambda flow: formula(node, flow)
 
 
-def counters(turns: Turns, condition: ir.Expr | None) -> list[Candidate]:
-    """Bounds of the ints that a loop writes: what they begin with, the condition of `while`, the loop's variable."""
-    reads = dict.fromkeys(_counted(turns.block))
+def guessed_bounds(model: LoopModel, condition: ir.Expr | None) -> list[Candidate]:
+    """Return guessed bounds of the ints that a loop writes.
+
+    Bounds are their initial values, the condition of `while`, and the loop's variable.
+    """
+    reads = dict.fromkeys(_assigned_ints(model.block))
     found: list[Candidate] = []
     for read in list(reads)[:MOST_COUNTERS]:
-        begin = turns.before.value(variable_of(read) or "")
-        if isinstance(begin, Linear) and independent(begin, turns.changed, turns.sized):
+        begin = model.before.value(variable_of(read) or "")
+        if isinstance(begin, Linear) and independent(begin, model.changed, model.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
-        found += _known(read, turns)
-        if turns.stop is not None:  # where an element was found: behind, or at, where the loop has come to
-            here = linear.variable(turns.counter)
+        found += _known(read, model)
+        if model.stop is not None:  # for a search: the index of a match is at most the current index
+            here = linear.variable(model.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
-            found.append(_at_most(read, linear.combine(turns.stop, linear.constant(-1))))
+            found.append(_at_most(read, linear.combine(model.stop, linear.constant(-1))))
     for part in conjuncts(condition) if condition is not None else ():
         match part:
             case ir.Compare("<" | "<=" | "!=" as op, left, right) if left in reads:
-                found += _within(left, right, int(op == "<="), 1, turns)
+                found += _within(left, right, int(op == "<="), 1, model)
             case ir.Compare(">" | ">=" | "!=" as op, left, right) if left in reads:
-                found += _within(left, right, int(op == ">="), -1, turns)
+                found += _within(left, right, int(op == ">="), -1, model)
         match part:
             case ir.Compare(">" | ">=" | "!=" as op, left, right) if right in reads:
-                found += _within(right, left, int(op == ">="), 1, turns)
+                found += _within(right, left, int(op == ">="), 1, model)
             case ir.Compare("<" | "<=" | "!=" as op, left, right) if right in reads:
-                found += _within(right, left, int(op == "<="), -1, turns)
+                found += _within(right, left, int(op == "<="), -1, model)
     return found
 
 
-def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
-    """The reads of the ints that a block writes."""
+def _assigned_ints(block: stmt.Block) -> Iterator[ir.Expr]:
+    """Yield a read of each int variable that a block assigns."""
     for statement in statements(block):
         match statement:
             case stmt.Assign(stmt.TempPlace(name), value, span) if value.type is INT:
@@ -230,14 +243,14 @@ def _counted(block: stmt.Block) -> Iterator[ir.Expr]:
                 pass
 
 
-def _known(read: ir.Expr, turns: Turns) -> Iterator[Candidate]:
-    """The comparisons of a variable that are known where the loop begins."""
+def _known(read: ir.Expr, model: LoopModel) -> Iterator[Candidate]:
+    """Yield the comparisons of a variable that are known before the loop."""
     name = variable_of(read)
-    for fact in turns.before.facts:
+    for fact in model.before.facts:
         for part in fact.parts if isinstance(fact, linear.And) else (fact,):
             if isinstance(part, linear.AtLeastZero) and isinstance(name, str):
                 rest = linear.substitute(part.linear, name, linear.constant(0))
-                if rest != part.linear and independent(rest, turns.changed, turns.sized):
+                if rest != part.linear and independent(rest, model.changed, model.sized):
                     yield _compared(read, name, part.linear)
 
 
@@ -246,15 +259,15 @@ def _compared(read: ir.Expr, name: str, known: Linear) -> Candidate:
 
 
 def _at_least(read: ir.Expr, bound: Linear) -> Candidate:
-    return lambda flow: linear.at_least(_term(read, flow), _now(bound, flow))
+    return lambda flow: linear.at_least(_term(read, flow), _bound_at(bound, flow))
 
 
 def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
-    return lambda flow: linear.at_least(_now(bound, flow), _term(read, flow))
+    return lambda flow: linear.at_least(_bound_at(bound, flow), _term(read, flow))
 
 
-def _now(bound: Linear, flow: Flow) -> Linear:
-    """Return a bound at a point, with the value of each variable whose value is known there."""
+def _bound_at(bound: Linear, flow: Flow) -> Linear:
+    """Return a bound at a point, with each variable replaced by its value if that is known there."""
     for var, _ in bound.terms:
         known = flow.value(var) if isinstance(var, str) else None
         if isinstance(var, str) and isinstance(known, Linear):
@@ -268,8 +281,11 @@ def _term(read: ir.Expr, flow: Flow) -> Linear:
     return found
 
 
-def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: Turns) -> list[Candidate]:
-    """sign * read <= sign * bound + beyond; or, where the loop may begin past that, as far as where it begins."""
+def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, model: LoopModel) -> list[Candidate]:
+    """Return the candidate sign * read <= sign * bound + beyond.
+
+    If the variable may begin outside of this bound, the candidate also allows values up to its initial value.
+    """
 
     def within(flow: Flow) -> Formula:
         end = term(bound, flow)
@@ -278,10 +294,10 @@ def _within(read: ir.Expr, bound: ir.Expr, beyond: int, sign: int, turns: Turns)
         rest = linear.combine(end, _term(read, flow), -1)
         return linear.AtLeastZero(linear.combine(linear.constant(beyond), rest, sign))
 
-    begin = turns.before.value(variable_of(read) or "")
-    if not isinstance(begin, Linear) or not independent(begin, turns.changed, turns.sized):
+    begin = model.before.value(variable_of(read) or "")
+    if not isinstance(begin, Linear) or not independent(begin, model.changed, model.sized):
         return [within]
-    if _shown(within, turns.before):
+    if _proved(within, model.before):
         return [within]
     least = _at_most(read, begin) if sign > 0 else _at_least(read, begin)
 

@@ -1,7 +1,7 @@
-"""Terms that are linear in integers, and conditions over them.
+"""Linear integer terms, and conditions over them.
 
-Terms are linear over integer variables, among them the lengths of lists, ints within values, and the quotients,
-remainders and choices of other terms.
+The variables of a term may be plain variables, lengths of lists, ints within values, and quotients, remainders and
+choices of other terms.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ from koordgen.lang.node import Node
 
 
 class Linear(Node):
-    """constant + sum of factor * variable; variables differ, factors are not zero."""
+    """Term: constant + sum of factor * variable. The variables are distinct; the factors are not zero."""
 
     terms: tuple[tuple[Var, int], ...]
     constant: int
 
 
 class Quotient(Node):
-    """operand // divisor, divisor > 0."""
+    """Term: operand // divisor, with divisor > 0."""
 
     operand: Linear
     divisor: int
 
 
 class Remainder(Node):
-    """operand % divisor, in [0, divisor) where the divisor is positive."""
+    """Term: operand % divisor, in [0, divisor) if the divisor is positive."""
 
     operand: Linear
     divisor: Linear
 
 
-class Choice(Node):
-    """then if condition else orelse."""
+class ConditionalTerm(Node):
+    """Term: `then if condition else orelse`."""
 
     condition: Formula
     then: Linear
@@ -42,54 +42,56 @@ class Choice(Node):
 
 
 class Length(Node):
-    """How many elements a list, queue, set, map or string has, 0 at least: a variable's by its name, or else a part's
-    by the expression that reads it."""
+    """Length (>= 0) of a list, queue, set, map or string.
+
+    `of` is the variable's name, or for a part of a value the expression that reads it.
+    """
 
     of: object
 
 
 class Value(Node):
-    """An int that is a part of a value, by the expression that reads it."""
+    """An int that is a part of a value. `of` is the expression that reads it."""
 
     of: object
 
 
-# A plain variable is its name: "pid", "N_SYS", or a kind and a name, as in "param k" and "local count".
-Var = str | Quotient | Remainder | Choice | Length | Value
+# A plain variable is a str: "pid", "N_SYS", or a kind and a name, as in "param k" and "local count".
+Var = str | Quotient | Remainder | ConditionalTerm | Length | Value
 
 
 class AtLeastZero(Node):
-    """linear >= 0"""
+    """Condition: linear >= 0."""
 
     linear: Linear
 
 
-class Fact(Node):
-    """A condition that is no arithmetic, known by any hashable key."""
+class BoolFact(Node):
+    """Condition that is not arithmetic, identified by any hashable key."""
 
     key: object
     holds: bool
 
 
 class And(Node):
-    """All hold; of none: true."""
+    """Conjunction; true if it has no parts."""
 
     parts: tuple[Formula, ...]
 
 
 class Or(Node):
-    """One holds; of none: false."""
+    """Disjunction; false if it has no parts."""
 
     parts: tuple[Formula, ...]
 
 
-class Unknown(Node):
-    """A condition of which nothing is known; so is its negation."""
+class UnknownCondition(Node):
+    """Condition of which nothing is known. Its negation is unknown, too."""
 
 
-Formula = AtLeastZero | Fact | And | Or | Unknown
+Formula = AtLeastZero | BoolFact | And | Or | UnknownCondition
 
-TRUE, FALSE, UNKNOWN = And(()), Or(()), Unknown()
+TRUE, FALSE, UNKNOWN = And(()), Or(()), UnknownCondition()
 PID, N_SYS = "pid", "N_SYS"
 
 
@@ -102,7 +104,7 @@ def variable(var: Var) -> Linear:
 
 
 def combine(left: Linear, right: Linear, factor: int = 1) -> Linear:
-    """left + factor * right"""
+    """Return left + factor * right."""
     total = left.constant + factor * right.constant
     if not right.terms:
         return Linear(left.terms, total)
@@ -119,8 +121,10 @@ def scale(linear: Linear, factor: int) -> Linear:
 
 
 def shifted(formula: Formula, var: Var, by: int) -> Formula:
-    """The formula for `var - by` in place of the plain variable or length `var`, where it stands in terms; a formula
-    has it nowhere else."""
+    """Return the formula with `var - by` in place of `var`, which is a plain variable or a length.
+
+    `var` must occur in the formula only as a term of a linear sum.
+    """
     match formula:
         case AtLeastZero(linear):
             factor = dict(linear.terms).get(var, 0)
@@ -134,12 +138,12 @@ def shifted(formula: Formula, var: Var, by: int) -> Formula:
 
 
 def at_least(left: Linear, right: Linear) -> Formula:
-    """left >= right"""
+    """Return the condition left >= right."""
     return AtLeastZero(combine(left, right, -1))
 
 
 def less(left: Linear, right: Linear) -> Formula:
-    """left < right"""
+    """Return the condition left < right."""
     return AtLeastZero(combine(combine(right, left, -1), constant(-1)))
 
 
@@ -148,24 +152,24 @@ def equal(left: Linear, right: Linear) -> Formula:
 
 
 def negate(formula: Formula) -> Formula:
-    """The formula's opposite."""
+    """Return the negation of a formula."""
     match formula:
         case AtLeastZero(linear):
             return AtLeastZero(combine(constant(-1), linear, -1))
-        case Fact(key, holds):
-            return Fact(key, not holds)
+        case BoolFact(key, holds):
+            return BoolFact(key, not holds)
         case And(parts):
             return Or(tuple(negate(p) for p in parts))
         case Or(parts):
             return And(tuple(negate(p) for p in parts))
-        case Unknown():
+        case UnknownCondition():
             return formula
         case _:
             assert_never(formula)
 
 
 def value_of(linear: Linear, values: Mapping[str, int]) -> int | None:
-    """The value of a term; None where a variable has none."""
+    """Return the value of a term; None if a variable has no value."""
     total = linear.constant
     for var, factor in linear.terms:
         value = values.get(var) if isinstance(var, str) else _derived(var, values)
@@ -175,7 +179,7 @@ def value_of(linear: Linear, values: Mapping[str, int]) -> int | None:
     return total
 
 
-def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mapping[str, int]) -> int | None:
+def _derived(var: Quotient | Remainder | ConditionalTerm | Length | Value, values: Mapping[str, int]) -> int | None:
     match var:
         case Length() | Value():
             return None
@@ -185,7 +189,7 @@ def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mappin
         case Remainder(operand, modulus):
             dividend, by = value_of(operand, values), value_of(modulus, values)
             return None if dividend is None or not by else dividend % by
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             held = truth(condition, values)
             return None if held is None else value_of(then if held else orelse, values)
         case _:
@@ -193,12 +197,12 @@ def _derived(var: Quotient | Remainder | Choice | Length | Value, values: Mappin
 
 
 def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
-    """Whether a formula holds; None where that depends on what is not known."""
+    """Return whether a formula holds for these values; None if this depends on something unknown."""
     match formula:
         case AtLeastZero(linear):
             value = value_of(linear, values)
             return None if value is None else value >= 0
-        case Fact() | Unknown():
+        case BoolFact() | UnknownCondition():
             return None
         case And(parts):
             found = {truth(p, values) for p in parts}
@@ -211,14 +215,14 @@ def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
 
 
 def variables(item: Formula | Linear | Var) -> Iterator[object]:
-    """The plain variables of a formula, the keys of its facts, and of what its lengths and values are."""
+    """Yield a formula's plain variables, the keys of its facts, and the `of` of its lengths and values."""
     match item:
         case Linear(terms):
             for var, _ in terms:
                 yield from variables(var)
         case AtLeastZero(linear):
             yield from variables(linear)
-        case Fact(key):
+        case BoolFact(key):
             yield key
         case Length(of) | Value(of):
             yield of
@@ -230,20 +234,20 @@ def variables(item: Formula | Linear | Var) -> Iterator[object]:
         case Remainder(operand, divisor):
             yield from variables(operand)
             yield from variables(divisor)
-        case Choice(condition, then, orelse):
+        case ConditionalTerm(condition, then, orelse):
             yield from variables(condition)
             yield from variables(then)
             yield from variables(orelse)
         case str():
             yield item
-        case Unknown():
+        case UnknownCondition():
             pass
         case _:
             assert_never(item)
 
 
 def show(linear: Linear) -> str:
-    """A term in Koord's words: `N_SYS - pid - 1`."""
+    """Return a term as Koord writes it: `N_SYS - pid - 1`."""
     parts = [(factor, _name(var)) for var, factor in linear.terms]
     parts.sort(key=lambda part: part[0] < 0)
     text = ""
@@ -264,7 +268,7 @@ def _name(var: Var) -> str:
             return f"({show(operand)}) // {divisor}"
         case Remainder(operand, modulus):
             return f"({show(operand)}) % ({show(modulus)})"
-        case Choice() | Value():
+        case ConditionalTerm() | Value():
             return "(...)"
         case Length(of):
             return f"len({of.rpartition(' ')[2] if isinstance(of, str) else '...'})"
@@ -273,6 +277,6 @@ def _name(var: Var) -> str:
 
 
 def substitute(linear: Linear, var: str, by: Linear) -> Linear:
-    """The term with a plain variable replaced, derived variables left alone."""
+    """Return a term with a plain variable replaced. Derived variables are not changed."""
     factor = dict(linear.terms).get(var, 0)
     return combine(combine(linear, variable(var), -factor), by, factor)

@@ -1,4 +1,4 @@
-"""Numbers that are written out, and what is made of them."""
+"""Constant folding of numbers: values of expressions of literals and params."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import FLOAT, Type
 
-RANGE = "a float reaches to about 1.8e308"
+RANGE = "a float is at most about 1.8e308"
 FUNCTIONS: dict[str, Callable[[float], float]] = {
     name: getattr(math, name) for name in ("sqrt", "log", "asin", "acos", "exp", "sin", "cos", "tan", "atan")
 }
 
 
-Params = Mapping[str, ir.Expr]  # what params begin with
+Params = Mapping[str, ir.Expr]  # initial values of params
 _NO_PARAMS: Params = {}
 
 
 def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
-    """The value of an expression of numbers that are written out, if it has one."""
+    """Return the value of a constant expression of numbers; None if it is not constant or has no value."""
     try:
         return compute(node, params)
     except (ValueError, ArithmeticError):
@@ -28,8 +28,7 @@ def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
 
 
 def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
-    """Return the innermost part of a first value whose number is beyond what floats hold, if there is one: no variable
-    keeps infinity."""
+    """Return the innermost part of an initial value that is infinite, or None. No variable may be infinite."""
     for part in reversed(list(walk(value))):
         number = number_of(part, params) if isinstance(part, (ir.Binary, ir.Unary)) and part.type is FLOAT else None
         if number is not None and math.isinf(number):
@@ -38,7 +37,10 @@ def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
 
 
 def compute(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
-    """The same; ValueError and OverflowError where a function or a power has none, though its parts have."""
+    """Return the value as `number_of` does.
+
+    Raises ValueError or OverflowError if the outermost operation has none.
+    """
     match node:
         case ir.Const(int() | float() as value):
             return value

@@ -1,5 +1,8 @@
-"""Points of an event, and the conditions passed on the way. What is known at a point is worked out when someone asks:
-at most points nobody does, and to find it is most of what a check would cost."""
+"""Program points and the conditions passed on the path to them.
+
+The facts at a point are computed on demand: most points never need them, and computing them would take most of the time
+of a check.
+"""
 
 from __future__ import annotations
 
@@ -9,31 +12,34 @@ from typing import Any
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.linear import Formula
-from koordgen.lang.analyze.facts.terms import Flow, formula, learned
+from koordgen.lang.analyze.facts.terms import Flow, after_assignment, formula
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 
 
 class Path:
-    """A point that is reached from others by a step."""
+    """Program point, reached from one or more earlier points by a step."""
 
     __slots__ = ("_before", "_flow", "_step")
 
     def __init__(self, before: tuple[Path, ...] = (), step: Callable[..., Flow] = Flow) -> None:
         self._before = before
-        self._step = step  # what is known before -> what is known here
+        self._step = step  # facts at the earlier points -> facts at this point
         self._flow: Flow | None = None
 
     @property
     def flow(self) -> Flow:
-        """What is known here."""
+        """Facts known at this point."""
         if self._flow is None:
-            self._work_out()
+            self._compute()
         assert self._flow is not None
         return self._flow
 
-    def _work_out(self) -> None:
-        """Not by recursion: an event may be longer than Python's stack."""
+    def _compute(self) -> None:
+        """Compute the facts of this point.
+
+        Iterative, because an event may be longer than Python's stack allows.
+        """
         pending = [self]
         while pending:
             path = pending[-1]
@@ -46,20 +52,20 @@ class Path:
                     path._before, path._step = (), Flow
 
     def passing(self, condition: Condition) -> Path:
-        """Where the condition, judged here, holds."""
-        return Path((self,), lambda flow: flow.knowing(condition.formula))
+        """Return the point after this one where a condition, evaluated here, holds."""
+        return Path((self,), lambda flow: flow.assuming(condition.formula))
 
     def failing(self, condition: Condition) -> Path:
-        """Where it does not hold."""
-        return Path((self,), lambda flow: flow.knowing(linear.negate(condition.formula)))
+        """Return the point after this one where a condition, evaluated here, does not hold."""
+        return Path((self,), lambda flow: flow.assuming(linear.negate(condition.formula)))
 
     def assigning(self, place: stmt.Place, value: ir.Expr) -> Path:
-        """After `place = value`."""
-        return Path((self,), lambda flow: learned(flow, place, value))
+        """Return the point after `place = value`."""
+        return Path((self,), lambda flow: after_assignment(flow, place, value))
 
 
 class Condition:
-    """A condition of the program, typed, judged at a point."""
+    """Typed condition of the program at a point. Its formula is computed on demand."""
 
     __slots__ = ("_formula", "_path", "node")
 
@@ -70,21 +76,21 @@ class Condition:
 
     @property
     def formula(self) -> Formula:
-        """One and the same object whenever it is asked for."""
+        """Condition as a formula: always the same object, so that it can be compared by identity."""
         if self._formula is None:
             self._formula = formula(self.node, self._path.flow)
         return self._formula
 
 
 def known(flow: Flow) -> Path:
-    """A point where this is known."""
+    """Return a point with these facts."""
     path = Path()
     path._flow = flow
     return path
 
 
 def joined(ends: list[Path | None]) -> Path | None:
-    """Where several ways meet; None: no run gets to the end of any."""
+    """Return the point where several paths meet; None if none of them is reachable."""
     reached = tuple(dict.fromkeys([end for end in ends if end is not None]))
     return Path(reached, _join) if len(reached) > 1 else reached[0] if reached else None
 
@@ -96,28 +102,30 @@ def _join(*flows: Any) -> Flow:
     return result
 
 
-# Conditions that need no judgement
+# Conditions that need no analysis
 
 
 def is_open(condition: ir.Expr, mentioned: AbstractSet[str]) -> bool:
-    """Return whether both a condition and its opposite are sure to be possible: the condition compares literal numbers
-    with variables that are not `mentioned` before it, so nothing is known of them, and names each variable once. False:
-    the condition is to be judged."""
+    """Return whether a condition and its negation are both possible, by a quick test of its form.
+
+    True if it only compares literal numbers with variables that are not `mentioned` before, so no facts about them
+    exist, and names each variable once. False means that the condition must be analysed.
+    """
     names: list[str] = []
-    return _free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
+    return _is_free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
 
 
-def _free(node: ir.Expr, names: list[str]) -> bool:
-    """Return whether a condition is of that form. Add its variables to `names`."""
+def _is_free(node: ir.Expr, names: list[str]) -> bool:
+    """Return whether a condition has the form that `is_open` describes. Adds its variables to `names`."""
     kind = type(node)
     if kind is ir.Logic:
-        return _free(node.left, names) and _free(node.right, names)  # type: ignore[union-attr]
+        return _is_free(node.left, names) and _is_free(node.right, names)  # type: ignore[union-attr]
     if kind is ir.Unary:
-        return _free(node.operand, names)  # type: ignore[union-attr]
+        return _is_free(node.operand, names)  # type: ignore[union-attr]
     if kind is ir.Compare:
         left, right = node.left, node.right  # type: ignore[union-attr]
         if type(left) is ir.Pid and type(right) is ir.Const:
-            # The fleet may be of any size: every index is someone's, and of each but 0 there is a lower one.
+            # The fleet may have any size, so every index >= 0 belongs to some robot; below 0 there is none.
             names.append("pid")
             return right.value >= (1 if node.op in ("<", ">=") else 0)  # type: ignore[union-attr, operator]
         node = left.operand if type(left) is ir.Widen else left

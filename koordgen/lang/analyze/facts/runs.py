@@ -1,4 +1,4 @@
-"""The runs of a counted loop that are sure to come: its first and its last, and what its block does in each of them."""
+"""First and last iteration of a counting loop, if each iteration evaluates a given expression."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from koordgen.lang.source import Span
 
 
 class Loop(NamedTuple):
-    """A `for` whose block is being judged. `name`: its variable as the program calls it, `temp`: in a Flow. `before` is
-    known where it begins. `changed` are the variables around it
-    that its block may change; of those in `sized` the lengths stay."""
+    """A `for` over a range or over ID whose block is being analysed.
+
+    `name` is its variable's name in the program, `temp` its name in a Flow. `before` has the facts before the loop.
+    `changed` has the outer variables that its block may change; the lengths of those in `sized` do not change.
+    """
 
     name: str
     temp: str
@@ -30,16 +32,18 @@ class Loop(NamedTuple):
     block: stmt.Block
 
 
-class Runs(NamedTuple):
-    """Runs of a loop: the values of its variable in them, and what is known where the loop begins if it runs at all."""
+class CertainIterations(NamedTuple):
+    """Iterations of a loop: values of its variable, and facts before the loop if it has an iteration."""
 
     values: tuple[Linear, ...]
     flow: Flow
 
 
-def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
-    """Return the last run and the first, if every run evaluates the expression at `span`; None if `terms`, as they are
-    known there, may depend on what earlier runs changed."""
+def certain_iterations(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> CertainIterations | None:
+    """Return the last and the first iteration if every iteration evaluates the expression at `span`.
+
+    Returns None if one may skip it, or if `terms` may depend on variables that earlier iterations changed.
+    """
     ends = _ends(loop)
     if (
         ends is None
@@ -49,11 +53,14 @@ def sure(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Runs | None:
     ):
         return None
     first, last, some = ends
-    return Runs((first,) if last is None else (last, first), loop.before.knowing(some))
+    return CertainIterations((first,) if last is None else (last, first), loop.before.assuming(some))
 
 
 def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
-    """Return the variable's first and last value, and that there is one; None where that is not known."""
+    """Return the variable's first value, its last one or None, and the condition that there is one.
+
+    Returns None if unknown.
+    """
     match loop.values:
         case ir.Ids():
             size = linear.variable(linear.N_SYS)
@@ -68,16 +75,16 @@ def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
             return None
 
 
-_LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.Unread)
+_LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.UnparsedStmt)
 
 
 def _may_skip(node: Node, loop: Loop) -> bool:
-    """Return whether a statement may end a run early, or changes the variable of the loop."""
+    """Return whether a statement may end an iteration early, or changes the loop's variable."""
     return isinstance(node, _LEAVING) or (isinstance(node, stmt.Assign) and variable_of(node.place) == loop.temp)
 
 
 def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
-    """Return whether each run of a block evaluates what stands there."""
+    """Return whether each execution of a block evaluates the expression at `span`."""
     for statement in block:
         parts: tuple[ir.Expr, ...]
         match statement:
@@ -89,7 +96,7 @@ def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
                 parts = (condition,)
             case stmt.For(values=values):
                 parts = (values,)
-            case stmt.Emit(items=items) | draft.Wrong(items):
+            case stmt.Emit(items=items) | draft.WrongStmt(items):
                 parts = items
             case _:
                 continue
@@ -99,8 +106,10 @@ def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
 
 
 def _in_expression(root: ir.Expr, span: Span) -> bool:
-    """Return whether an expression always evaluates what stands there: no `and`, `or`, `if` or quantifier decides about
-    it."""
+    """Return whether an expression always evaluates its part at `span`.
+
+    Returns False if an `and`, `or`, `if` or quantifier may skip it.
+    """
     pending: list[Node] = [root]
     while pending:
         match pending.pop():

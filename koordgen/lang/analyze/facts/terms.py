@@ -1,4 +1,4 @@
-"""Expressions as what can be decided about them: terms over integers, conditions, lengths."""
+"""Translation of expressions to facts: linear terms, conditions, lengths."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.flow import Flow, independent, names_of, variable_of
-from koordgen.lang.analyze.facts.linear import FALSE, TRUE, UNKNOWN, Fact, Formula, Length, Linear, Value
+from koordgen.lang.analyze.facts.linear import FALSE, TRUE, UNKNOWN, BoolFact, Formula, Length, Linear, Value
 from koordgen.lang.analyze.facts.number import number_of
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
@@ -15,9 +15,9 @@ from koordgen.lang.ir.types import BOOL, FLOAT, INT, MapOf, PerRobot, Sequence, 
 
 __all__ = [
     "Flow",
+    "after_assignment",
     "formula",
     "known_value",
-    "learned",
     "length",
     "names_of",
     "nonzero",
@@ -30,13 +30,13 @@ _MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 _VARIABLES = frozenset((ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead, ir.ParamRead))
 _PARTS = frozenset((ir.SlotRead, ir.Field, ir.Item, ir.At, ir.LocalOf, ir.PortOf))
 _SIZE, _PID = linear.variable(linear.N_SYS), linear.variable(linear.PID)
-# By how much an update changes a length; those that are not here may do either.
+# Change of length by each update. An update that is missing may or may not change the length.
 _STEPS = {"appended": 1, "inserted": 1, "removed": -1, "without": -1, "popped": -1, "updated": 0, "sorted": 0,
           "reversed": 0, "set_without": -1, "map_without": -1, "keys": 0, "values": 0, "items": 0}  # fmt: skip
 
 
 def term(node: ir.Expr, flow: Flow) -> Linear | None:
-    """An expression as a term over integers, if it is one; `Widen` of an int counts as the int."""
+    """Return an expression as a linear integer term, or None. A widened int counts as the int."""
     kind = type(node)
     if kind is ir.Const:
         return _constant(node.value)  # type: ignore[union-attr]
@@ -87,7 +87,7 @@ def _constant(value: object) -> Linear | None:
 
 
 def _choice(condition: Formula, then: Linear | None, orelse: Linear | None) -> Linear | None:
-    return None if then is None or orelse is None else linear.variable(linear.Choice(condition, then, orelse))
+    return None if then is None or orelse is None else linear.variable(linear.ConditionalTerm(condition, then, orelse))
 
 
 def _arithmetic(node: ir.Binary, flow: Flow) -> Linear | None:
@@ -113,7 +113,7 @@ def _arithmetic(node: ir.Binary, flow: Flow) -> Linear | None:
 
 
 def pure(node: ir.Expr) -> bool:
-    """Whether an expression has the same value as long as its variables have theirs: no port is called in it."""
+    """Return whether an expression's value depends on its variables alone: it calls no port."""
     return not any(isinstance(part, ir.PortCall) for part in walk(node))
 
 
@@ -122,7 +122,10 @@ def has_length(type_: Type) -> bool:
 
 
 def length(node: ir.Expr, flow: Flow) -> Linear | None:
-    """How many elements a list, queue, set, map or string has, as a term; of what has one a robot, N_SYS."""
+    """Return the length of a list, queue, set, map or string as a term, or None.
+
+    N_SYS for an allread variable.
+    """
     kind = type(node)
     if isinstance(node.type, PerRobot) or kind is ir.Ids:
         return _SIZE
@@ -159,7 +162,7 @@ def length(node: ir.Expr, flow: Flow) -> Linear | None:
 
 
 def formula(node: ir.Expr, flow: Flow) -> Formula:
-    """A bool expression as a formula; what is not understood is Unknown, which may be either."""
+    """Return a bool expression as a formula. Parts that have no formula become Unknown."""
     kind = type(node)
     if kind is ir.Compare:
         return _comparison(node.op, node.left, node.right, flow)  # type: ignore[union-attr]
@@ -167,7 +170,7 @@ def formula(node: ir.Expr, flow: Flow) -> Formula:
         name = variable_of(node)
         assert name is not None
         known = flow.value(name)
-        return Fact(name, True) if known is None or isinstance(known, Linear) else known
+        return BoolFact(name, True) if known is None or isinstance(known, Linear) else known
     match node:
         case ir.Logic(op, left, right):
             parts = (formula(left, flow), formula(right, flow))
@@ -184,9 +187,9 @@ def formula(node: ir.Expr, flow: Flow) -> Formula:
             return linear.Or((yes, linear.And((linear.negate(held), formula(orelse, flow)))))
         case ir.SlotRead(name, ir.Pid()):
             known = flow.value(f"slot {name}")
-            return Fact(node, True) if known is None or isinstance(known, Linear) else known
+            return BoolFact(node, True) if known is None or isinstance(known, Linear) else known
         case _:
-            return Fact(node, True) if kind in _PARTS and pure(node) else UNKNOWN
+            return BoolFact(node, True) if kind in _PARTS and pure(node) else UNKNOWN
 
 
 def _comparison(op: str, left: ir.Expr, right: ir.Expr, flow: Flow) -> Formula:
@@ -226,38 +229,40 @@ def _compared(op: str, first: Linear, second: Linear) -> Formula:
 
 
 def _nonzero_by(op: str, value: ir.Expr, bound: ir.Expr) -> Formula:
-    """What `value op bound` tells of a float: whether it can be zero."""
+    """Return what `value op bound` implies about a float: that it is zero, or that it is not."""
     if not pure(value):
         return UNKNOWN
     number = number_of(bound)
     if number is None:
-        # A param: what this tells depends on its value.
-        told = linear.Or((Fact(value, True), Fact((op, bound), False))) if type(bound) is ir.ParamRead else UNKNOWN
-        return linear.And((UNKNOWN, told))
+        # A param: the conclusion depends on its value.
+        implied = (
+            linear.Or((BoolFact(value, True), BoolFact((op, bound), False))) if type(bound) is ir.ParamRead else UNKNOWN
+        )
+        return linear.And((UNKNOWN, implied))
     if op == "==" and number == 0:
-        return Fact(value, False)
-    # Either answer to the comparison is possible where the value is not zero, so only one direction tells anything.
-    return linear.And((UNKNOWN, Fact(value, True))) if excludes_zero(op, number) else UNKNOWN
+        return BoolFact(value, False)
+    # The comparison implies that the value is not zero, but not the reverse; UNKNOWN keeps the negation unknown.
+    return linear.And((UNKNOWN, BoolFact(value, True))) if excludes_zero(op, number) else UNKNOWN
 
 
 def excludes_zero(op: str, number: float) -> bool:
-    """Whether what is `op number` differs from zero."""
+    """Return whether each float x with `x op number` differs from zero."""
     return {"!=": number == 0, ">": number >= 0, ">=": number > 0, "<": number <= 0, "<=": number < 0}.get(op, False)
 
 
 def nonzero(node: ir.Expr, flow: Flow) -> Formula:
-    """That a divisor differs from zero."""
+    """Return the condition that a divisor differs from zero."""
     value = term(node, flow)
     if value is not None:
         return linear.negate(linear.equal(value, linear.constant(0)))
     number = number_of(node)
     if number is not None:
         return TRUE if number else FALSE
-    return Fact(node, True) if pure(node) else UNKNOWN
+    return BoolFact(node, True) if pure(node) else UNKNOWN
 
 
 def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
-    """What a variable is known to be after `node` was assigned to it; None when that is nothing."""
+    """Return the known value of a variable after `node` is assigned to it; None if nothing is known."""
     if node.type is INT:
         return term(node, flow)
     if node.type is BOOL:
@@ -266,8 +271,8 @@ def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
     return None
 
 
-def learned(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
-    """After `place = node`: what was known of the place is gone, and its new value may be known."""
+def after_assignment(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
+    """Return the facts after `place = node`."""
     name = variable_of(place)
     assert name is not None
     if has_length(node.type):
@@ -283,8 +288,11 @@ def range_facts(
     changed: frozenset[str] = frozenset(),
     sized: frozenset[str] = frozenset(),
 ) -> Iterator[Formula]:
-    """What holds of the temp `unique` that runs over `values`, and of these: `before` is known at the loop's start,
-    `after` at the start of each run, when what is `changed` within may have changed, but the lengths of `sized`."""
+    """Yield facts about the temp `unique` that iterates over `values`, and about `values`.
+
+    `before` has the facts before the loop, `after` those at the start of each iteration. The loop may change the
+    variables in `changed`, but not the lengths of those in `sized`.
+    """
 
     def bound(node: ir.Expr) -> Linear | None:
         for flow in (before, after):

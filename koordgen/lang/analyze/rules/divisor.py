@@ -1,4 +1,4 @@
-"""K032, K033: a divisor differs from zero."""
+"""K032, K033: divisors must differ from zero."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.terms import nonzero, term
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.evidence import (
+    counterexample,
     example_text,
-    help_of,
-    holds_never,
+    help_at_run_time,
+    is_refuted,
     is_right_by_default,
-    refuted,
     robots_of,
 )
 from koordgen.lang.ir import expr as ir
@@ -18,7 +18,7 @@ from koordgen.lang.source import Span
 
 
 def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether a divisor differs from zero here, always. Report a wrong or a doubtful one."""
+    """Return whether a divisor is proved to differ from zero. Reports one that is, or may be, zero."""
     if type(divisor) is ir.Widen and type(divisor.operand) is ir.Const:
         divisor = divisor.operand
     if type(divisor) is ir.Const and divisor.value:
@@ -26,14 +26,14 @@ def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
     if a.flow is None or a.poisoned:
         return False
     bad = linear.negate(nonzero(divisor, a.flow))
-    if holds_never(bad, a):
+    if is_refuted(bad, a):
         return True
     if is_right_by_default(bad, a):
         return False
     text = a.text(divisor.span)
     value = term(divisor, a.flow)
     if value is not None:
-        example, certain = refuted(bad, bad, (value,), a)
+        example, certain = counterexample(bad, bad, (value,), a)
         if example is not None and certain:
             if value.terms:
                 robot, _ = robots_of(bad, value, example, a)
@@ -45,6 +45,9 @@ def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
             a.site_error("K032", message, span, help)
             return False
     a.warn(
-        "K033", f"{text} may be zero", divisor.span, f"{help_of(a)}; 'if {text} != 0:' around it shows that it is not"
+        "K033",
+        f"{text} may be zero",
+        divisor.span,
+        f"{help_at_run_time(a)}; 'if {text} != 0:' around it shows that it is not",
     )
     return False

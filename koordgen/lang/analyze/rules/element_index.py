@@ -1,4 +1,7 @@
-"""K030, K034, K036: an index of a list, a queue or a text is in its range, and counts from the start."""
+"""K030, K034, K036: indices of lists, queues and strings must be in range.
+
+Negative ones do not count from the end.
+"""
 
 from __future__ import annotations
 
@@ -8,59 +11,62 @@ from koordgen.lang.analyze.facts.terms import has_length, length, term
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.evidence import (
     ZERO,
+    counterexample,
     example_text,
-    help_of,
-    holds_never,
+    help_at_run_time,
+    is_impossible,
+    is_refuted,
     is_right_by_default,
     is_wrong_in_a_run,
-    never,
-    open_side,
-    refuted,
+    missing_condition,
     robots_of,
-    untold,
+    unproved_side,
 )
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.source import Span
 
 
 def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether 0 <= index < len(operand) here, always. Report a wrong or a doubtful index."""
+    """Return whether 0 <= index < len(operand) is proved.
+
+    Reports an index that is, or may be, out of range.
+    """
     if a.flow is None or a.poisoned:
         return False
     value, size = term(index, a.flow), length(operand, a.flow)
     if value is not None and not value.terms and value.constant < 0:
         text = a.text(operand.span)
         help = f"{text}[len({text}) - {-value.constant}]" + (" is the last" if value.constant == -1 else "")
-        a.error("K036", f"an index never counts from the end, as {a.text(index.span)} would", index.span, help)
+        a.error("K036", f"{a.text(index.span)} is negative: an index does not count from the end", index.span, help)
         return False
     many, at = f"len({a.text(operand.span)})", a.text(index.span)
     if value is not None and size is not None:
         sides = (linear.at_least(value, size), linear.less(value, ZERO))
         bad = linear.Or(sides)
-        if holds_never(bad, a):
+        if is_refuted(bad, a):
             return True
         if is_right_by_default(bad, a) or _element_refuted(sides, bad, value, size, span, a):
             return False
         if is_wrong_in_a_run(value, size, many, "leaves its range", span, a):
             return False
-    open_ = f"{many} > {at}" if isinstance(index, ir.Const) else open_side(value, size, at, many, a)
+    open_ = f"{many} > {at}" if isinstance(index, ir.Const) else unproved_side(value, size, at, many, a)
     check = f"'if {open_ or f'0 <= {at} < {many}'}:' around it shows that it does not"
-    help = f"{help_of(a)}; {check}" if len(check) <= 90 else help_of(a)
-    a.warn("K034", f"{a.text(span)} may leave its range{untold(open_)}", span, help)
+    help = f"{help_at_run_time(a)}; {check}" if len(check) <= 90 else help_at_run_time(a)
+    a.warn("K034", f"{a.text(span)} may leave its range{missing_condition(open_)}", span, help)
     return False
 
 
 def _element_refuted(
     sides: tuple[Formula, Formula], bad: Formula, value: Linear, size: Linear, span: Span, a: Analysis
 ) -> bool:
-    """Report an index that is wrong for an example, or in every case. Return whether it was reported."""
+    """Report an index that is always wrong, or wrong for an example. Returns whether it was reported."""
     text = a.text(span)
-    if never(linear.negate(bad), a) and not never(linear.TRUE, a):
+    if is_impossible(linear.negate(bad), a) and not is_impossible(linear.TRUE, a):
         many = "" if size.terms else f": there are {size.constant} elements" if size.constant != 1 else ": there is one"
         a.error("K030", f"{text} leaves its range{many}", span)
         return True
     for side in sides:
-        example, certain = refuted(side, bad, (value, size), a)
+        example, certain = counterexample(side, bad, (value, size), a)
         if example is None:
             continue
         robot, shown = robots_of(side, value, example, a)
@@ -68,13 +74,16 @@ def _element_refuted(
         if certain:
             a.site_error("K030", f"{robot} reads {text}: {such}", span)
         else:
-            a.warn("K034", f"{robot} may read {text}: {such}", span, help_of(a))
+            a.warn("K034", f"{robot} may read {text}: {such}", span, help_at_run_time(a))
         return True
     return False
 
 
 def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether an end of a slice, or a place to insert at, is 0 or more here, always. Report it otherwise."""
+    """Return whether the end of a slice, or the position of an insertion, is proved to be >= 0.
+
+    If it is not, this is reported.
+    """
     if a.flow is None or a.poisoned:
         return False
     value = term(end, a.flow)
@@ -82,17 +91,17 @@ def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
         if value.constant >= 0:
             return True
         help = f"write len(...) - {-value.constant}"
-        a.error("K036", f"an index never counts from the end, as {a.text(end.span)} would", end.span, help)
+        a.error("K036", f"{a.text(end.span)} is negative: an index does not count from the end", end.span, help)
         return False
-    if value is not None and holds_never(linear.less(value, ZERO), a):
+    if value is not None and is_refuted(linear.less(value, ZERO), a):
         return True
     text = a.text(end.span)
-    help = f"{help_of(a)}; 'if {text} >= 0:' around it shows that it is not"
+    help = f"{help_at_run_time(a)}; 'if {text} >= 0:' around it shows that it is not"
     a.warn("K034", f"{a.text(span)}: {text} may be negative", end.span, help)
     return False
 
 
-def holds_some(values: ir.Expr, a: Analysis) -> bool:
-    """Return whether a value has an element here, always."""
+def has_element(values: ir.Expr, a: Analysis) -> bool:
+    """Return whether a list, queue or string is proved to be non-empty."""
     many = length(values, a.flow) if a.flow is not None and has_length(values.type) else None
-    return many is not None and never(linear.less(many, linear.constant(1)), a)
+    return many is not None and is_impossible(linear.less(many, linear.constant(1)), a)

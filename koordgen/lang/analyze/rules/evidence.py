@@ -1,12 +1,12 @@
-"""Evidence about an index or a divisor at a point (K030): what cannot hold, examples of what can, and their words."""
+"""Evidence about an index or a divisor (K030): proofs that it is right, examples where it is wrong."""
 
 from __future__ import annotations
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.decide import Example, find, unsat
-from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, Fact, Formula, Linear
+from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, BoolFact, Formula, Linear
 from koordgen.lang.analyze.facts.number import number_of
-from koordgen.lang.analyze.facts.runs import sure
+from koordgen.lang.analyze.facts.runs import certain_iterations
 from koordgen.lang.analyze.facts.terms import Flow, excludes_zero, has_length, length, names_of, term
 from koordgen.lang.analyze.rules.analysis import Analysis, Site
 from koordgen.lang.ir import expr as ir
@@ -15,30 +15,35 @@ from koordgen.lang.source import Span
 
 _PID, _SIZE, ZERO = linear.variable(PID), linear.variable(N_SYS), linear.constant(0)
 _LAST = linear.combine(_SIZE, linear.constant(-1))
-_AT_RUN_TIME = "it is checked at run time: a robot for which it fails discards the event and holds"
+_CHECKED_AT_RUN_TIME = "it is checked at run time: a robot for which it fails discards the event and holds"
 
 
-def help_of(a: Analysis) -> str:
+def help_at_run_time(a: Analysis) -> str:
     """Return the help for an index or a divisor that may be wrong."""
-    return "let the formula say what robots it speaks of" if a.place in ("property", "assume") else _AT_RUN_TIME
+    return "restrict the formula to robots of the fleet" if a.place in ("property", "assume") else _CHECKED_AT_RUN_TIME
 
 
-def open_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:
-    """Return what remains to be shown of an index where one side is shown already, in Koord's words."""
+def unproved_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:
+    """Return the unproved bound of an index, as Koord writes it, if the other bound is proved.
+
+    Returns an empty string otherwise.
+    """
     if value is None or size is None:
         return ""
-    above, below = never(linear.less(value, ZERO), a), never(linear.at_least(value, size), a)
+    above, below = is_impossible(linear.less(value, ZERO), a), is_impossible(linear.at_least(value, size), a)
     return "" if above == below else f"{index} < {many}" if above else f"{index} >= 0"
 
 
-def untold(open_: str) -> str:
-    """Return the end of a message about a condition that nothing shows; empty for a long one."""
-    return f": nothing says that {open_}" if 0 < len(open_) <= 60 else ""
+def missing_condition(open_: str) -> str:
+    """Return the end of a message about an unproved condition; empty if the condition is long."""
+    return f": nothing shows that {open_}" if 0 < len(open_) <= 60 else ""
 
 
 def is_right_by_default(bad: Formula, a: Analysis) -> bool:
-    """Return whether nothing is wrong as long as the params have the values that the program gives them. A fleet file
-    may give others, so it is still checked at run time."""
+    """Return whether `bad` cannot hold if all params have their defaults.
+
+    Then nothing is reported. A fleet file may give other values, so the condition is still checked at run time.
+    """
     assert a.flow is not None
     names = names_of(bad)
     facts = a.flow.relevant(names)
@@ -48,7 +53,7 @@ def is_right_by_default(bad: Formula, a: Analysis) -> bool:
 
 
 def _default(name: str, a: Analysis) -> list[Formula]:
-    """Return the facts that a param's default gives."""
+    """Return the facts that hold if a param has its default."""
     param = a.params.get(name)
     if param is None:
         return []
@@ -60,33 +65,37 @@ def _default(name: str, a: Analysis) -> list[Formula]:
         number = number_of(param.default)
         if number is None:
             return []
-        told: list[Formula] = [Fact((op, read), excludes_zero(op, number)) for op in ("!=", ">", ">=", "<", "<=")]
-        return [*told, Fact(read, number != 0)]
+        facts: list[Formula] = [BoolFact((op, read), excludes_zero(op, number)) for op in ("!=", ">", ">=", "<", "<=")]
+        return [*facts, BoolFact(read, number != 0)]
     if has_length(param.type):
         many = length(param.default, Flow())
         return [] if many is None else [linear.equal(linear.variable(linear.Length(f"param {name}")), many)]
     return []
 
 
-def holds_never(bad: Formula, a: Analysis) -> bool:
-    """Return whether `bad`, with which an index or a divisor would be wrong, cannot hold here. In an effect the
-    question is kept: see `opposite_guard`."""
+def is_refuted(bad: Formula, a: Analysis) -> bool:
+    """Return whether `bad`, which makes an index or a divisor wrong, cannot hold here.
+
+    In an effect the condition is also saved in `a.sites`, for `opposite_guard`.
+    """
     assert a.flow is not None
     if a.place == "effect":
         guard = None if a.guard is None else a.guard.formula
         a.sites.append(Site(tuple([k.formula for k in a.flow.known if k.origin is not guard]), bad))
-    return never(bad, a)
+    return is_impossible(bad, a)
 
 
-def never(condition: Formula, a: Analysis) -> bool:
+def is_impossible(condition: Formula, a: Analysis) -> bool:
     """Return whether a condition cannot hold here."""
     assert a.flow is not None
     return unsat((*a.flow.relevant(names_of(condition)), condition))
 
 
-def refuted(side: Formula, bad: Formula, values: tuple[Linear, ...], a: Analysis) -> tuple[Example | None, bool]:
-    """An example of a robot for which `side` holds, and whether that is certain: no matter what else is the case,
-    or because `bad` holds whenever one gets here."""
+def counterexample(side: Formula, bad: Formula, values: tuple[Linear, ...], a: Analysis) -> tuple[Example | None, bool]:
+    """Return an example of a robot for which `side` holds, or None, and whether the error is certain.
+
+    It is certain if the example depends on nothing unknown, or if `bad` holds whenever this point is reached.
+    """
     assert a.flow is not None
     names = [var for value in values for var in linear.variables(value)]
     if not all(_is_given(name, a) for name in names):
@@ -94,7 +103,7 @@ def refuted(side: Formula, bad: Formula, values: tuple[Linear, ...], a: Analysis
     example = find((*a.flow.facts, side), a.defaults)
     if example is None:
         return None, False
-    return example, example.certain or never(linear.negate(bad), a)
+    return example, example.certain or is_impossible(linear.negate(bad), a)
 
 
 def _is_given(name: object, a: Analysis) -> bool:
@@ -103,11 +112,11 @@ def _is_given(name: object, a: Analysis) -> bool:
 
 
 def robots_of(side: Formula, value: Linear, example: Example, a: Analysis) -> tuple[str, str]:
-    """The robots for which it goes wrong, and the index in their terms: ("robot N_SYS - 1", "N_SYS")."""
+    """Return the robots for which a value is wrong, and the value for them: ("robot N_SYS - 1", "N_SYS")."""
     assert a.flow is not None
     here = linear.constant(example.values[PID])
     for robot in (_LAST, here):
-        if never(And((side, linear.negate(linear.equal(_PID, robot)))), a):
+        if is_impossible(And((side, linear.negate(linear.equal(_PID, robot)))), a):
             return f"robot {linear.show(robot)}", _index(linear.substitute(value, PID, robot), value, example)
     return "a robot", _index(value, value, example)
 
@@ -119,16 +128,18 @@ def _index(shown: Linear, value: Linear, example: Example) -> str:
 
 
 def example_text(example: Example, value: Linear) -> str:
-    """Return an example in words: "for example pid = 0 of N_SYS = 3"."""
+    """Return an example as text: "for example pid = 0 of N_SYS = 3"."""
     others = [n for n in dict.fromkeys(linear.variables(value)) if isinstance(n, str) and n not in (PID, N_SYS)]
     given = "".join(f", {n.rpartition(' ')[2]} = {example.values[n]}" for n in others)
     return f"for example pid = {example.values[PID]} of N_SYS = {example.values[N_SYS]}{given}"
 
 
 def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: Span, a: Analysis) -> bool:
-    """Return whether an index was reported that is sure to be wrong in the first or the last run of the loop around.
-    `many`: the size in Koord's words."""
-    runs = None if a.loop is None else sure(a.loop, span, (value, size))
+    """Report an index that is certainly wrong in the first or last iteration of the innermost loop.
+
+    Returns whether it was reported. `many` is the size as Koord writes it.
+    """
+    runs = None if a.loop is None else certain_iterations(a.loop, span, (value, size))
     if a.loop is None or runs is None:
         return False
     here = a.path
@@ -146,11 +157,16 @@ def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: 
 def _wrong_run(
     runs: tuple[Linear, ...], var: str, value: Linear, size: Linear, a: Analysis
 ) -> tuple[Linear, str] | None:
-    """A value of `var`, of those in `runs`, with which an index is wrong for all robots, or else for an example."""
+    """Return a value of the loop's variable `var` that makes an index wrong, with the text of an example.
+
+    `runs` has the values to try.
+
+    Prefers a value that makes it wrong for all robots; the text is empty then. None if there is no certain one.
+    """
     bad = linear.Or((linear.at_least(value, size), linear.less(value, ZERO)))
     for at in runs:
         now = linear.equal(linear.variable(var), at)
-        if never(And((now, linear.negate(bad))), a) and not never(now, a):
+        if is_impossible(And((now, linear.negate(bad))), a) and not is_impossible(now, a):
             return at, ""
     assert a.flow is not None
     if not all(_is_given(name, a) for fact in a.flow.facts for name in linear.variables(fact)):
@@ -158,7 +174,7 @@ def _wrong_run(
     for at in runs:
         index, count = linear.substitute(value, var, at), linear.substitute(size, var, at)
         bad = linear.Or((linear.at_least(index, count), linear.less(index, ZERO)))
-        example, certain = (None, False) if never(bad, a) else refuted(bad, bad, (index, count), a)
+        example, certain = (None, False) if is_impossible(bad, a) else counterexample(bad, bad, (index, count), a)
         if example is not None and certain:
             return at, f" ({example_text(example, linear.combine(index, count))})"
     return None

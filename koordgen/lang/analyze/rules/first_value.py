@@ -1,6 +1,8 @@
-"""K057: first values of params, variables and fields are known in advance; one that robots may not keep is an error.
+"""K057: initial values of params, variables and fields must exist and be storable.
 
-The semantics evaluates them. It is imported where something is to be evaluated: most first values are literals.
+They are known at build time.
+
+The language's semantics evaluates them. It is imported on demand, because most initial values are literals.
 """
 
 from __future__ import annotations
@@ -15,55 +17,62 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POISON, Type
 from koordgen.lang.source import Span
 
-_EXISTS = "write a value that exists: a first value is evaluated before the robots start"
-_FITS = "robots keep ints of 64 bits, floats up to about 1.8e308, and what the declared capacities hold"
+_EXISTS = "write a value that exists: an initial value is evaluated before the robots start"
+_FITS = "robots store ints of 64 bits, floats up to about 1.8e308, and as much as the declared capacities allow"
 
 
-class Flaw(NamedTuple):
-    """Why a first value is none that robots may keep. `span` is the expression without a value; None where all have
-    one. `reason` follows on its text then, and else on the name of the variable."""
+class InitialValueFlaw(NamedTuple):
+    """Reason why robots cannot store an initial value.
+
+    `span` is the part that has no value, or None if all parts have one. `reason` completes a sentence about that part,
+    or else about the variable.
+    """
 
     span: Span | None
     reason: str
     help: str
 
 
-def judge_first_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> None:
-    """Report a first value that does not exist, or that robots may not keep."""
+def check_initial_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> None:
+    """Report an initial value that does not exist, or that robots cannot store."""
     wrong = flaw_of(value, type_, {name: param.default for name, param in a.params.items()})
     if wrong is not None:
-        what = f"the first value of {name}" if wrong.span is None else a.text(wrong.span)
+        what = f"the initial value of {name}" if wrong.span is None else a.text(wrong.span)
         a.error("K057", f"{what} {wrong.reason}", wrong.span or value.span, wrong.help)
 
 
-def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw | None:
-    """Return what is wrong with the first value of something of that type, if something is; `params` are the values of
-    params. What contains an error that was reported is not judged."""
-    if _plain(value):
+def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
+    """Return why an initial value of this type is wrong.
+
+    Returns None if it is right or has an error that is already reported.
+
+    `params` has the values of params.
+    """
+    if _is_literal(value):
         return None
     read = {part.name: params[part.name] for part in walk(value) if isinstance(part, ir.ParamRead)}
     if any(isinstance(part, ir.Expr) and part.type is POISON for part in walk((value, *read.values()))):
         return None
     infinite = too_large(value, params)
     if infinite is not None:
-        return Flaw(infinite.span, "is too large for a float", RANGE)
+        return InitialValueFlaw(infinite.span, "is too large for a float", RANGE)
     return _evaluated(value, type_, read)
 
 
-def _plain(value: ir.Expr) -> bool:
-    """Return whether a first value is made of literals alone: these are judged where they are read."""
+def _is_literal(value: ir.Expr) -> bool:
+    """Return whether an initial value consists of literals only, which the parser has checked."""
     match value:
         case ir.Const():
             return True
         case ir.Widen(part) | ir.Unary("-", part):
-            return _plain(part)
+            return _is_literal(part)
         case ir.Make(parts) | ir.Builtin("Point" | "Pose", parts):
-            return all(map(_plain, parts))
+            return all(map(_is_literal, parts))
         case _:
             return False
 
 
-def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Flaw | None:
+def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
     from koordgen.lang.semantics.eval import Discarded, evaluate, view_of
     from koordgen.lang.semantics.exec import Budget
     from koordgen.lang.semantics.values import Value, flaw
@@ -76,5 +85,5 @@ def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> Fl
         view = view._replace(params={name: evaluate(default, view) for name, default in params.items()})
         wrong = flaw(evaluate(value, view), type_)
     except Discarded as discarded:
-        return Flaw(discarded.span, f"has no value: {discarded.reason}", _EXISTS)
-    return Flaw(None, f"would be {wrong}", _FITS) if wrong else None
+        return InitialValueFlaw(discarded.span, f"has no value: {discarded.reason}", _EXISTS)
+    return InitialValueFlaw(None, f"would be {wrong}", _FITS) if wrong else None

@@ -1,4 +1,4 @@
-"""K042: an event whose guard holds only where that of an earlier event holds."""
+"""K042: an event whose guard holds only if an earlier event's guard holds, which then runs instead."""
 
 from __future__ import annotations
 
@@ -7,13 +7,17 @@ from typing import NamedTuple
 
 from koordgen.lang.analyze.facts.path import Condition
 from koordgen.lang.diagnostics import Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl
+from koordgen.lang.reporter import Reporter
 
 
-class Judged(NamedTuple):
-    """An event that was judged: its guard, and the texts of what the guard joins by `and`. `always`: the guard holds in
-    every state."""
+class AnalysedEvent(NamedTuple):
+    """An analysed event.
+
+    `guard` is None if it has an error. `conditions` has the texts of the conditions that the guard joins by `and`.
+
+    `always`: the guard holds in every state.
+    """
 
     event: decl.Event
     guard: Condition | None
@@ -21,19 +25,26 @@ class Judged(NamedTuple):
     always: bool
 
 
-def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judged], findings: Findings) -> bool:
-    """Warn of an event whose guard holds only where that of an event of `hiding` holds. `first` are the events that
-    have priority over it. Return whether it was reported."""
+def is_hidden(
+    event: decl.Event, hiding: Sequence[AnalysedEvent], first: Sequence[AnalysedEvent], reporter: Reporter
+) -> bool:
+    """Warn of an event that events in `hiding` hide: its guard holds only if theirs hold.
+
+    `first` has the events with priority over it. Returns whether it was reported.
+    """
     ahead = [other for other in hiding if any(other is earlier for earlier in first)]
     if not hiding:
         return False
-    other = min(ahead or hiding, key=lambda judged: judged.event.span.line)  # the first in the text is reported
+    other = min(ahead or hiding, key=lambda analyzed: analyzed.event.span.line)  # name the first one in the text
     name, earlier = event.name, other.event.name
-    label = Label(other.event.span, f"stands before, and {'is always enabled' if other.always else 'asks for no more'}")
-    why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, {earlier}'s does"
+    label = Label(
+        other.event.span,
+        f"earlier event, enabled {'in every state' if other.always else 'in all of these cases, too'}",
+    )
+    why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, that of {earlier} holds"
     if ahead:
         message = f"the event {name} can never run: {why}, and {earlier} has priority"
-        help = f"write it before {earlier}, or let {earlier} ask for more"
+        help = f"move it before {earlier}, or make the guard of {earlier} stricter"
     else:
         message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
         help = (
@@ -45,5 +56,5 @@ def is_hidden(event: decl.Event, hiding: Sequence[Judged], first: Sequence[Judge
                 "the language allows it, because a transaction sees what other robots have committed since the round's "
                 "start; change a guard"
             )
-    findings.warn("K042", message, event.span, help, (label,))
+    reporter.warn("K042", message, event.span, help, (label,))
     return True

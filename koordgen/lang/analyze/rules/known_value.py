@@ -1,4 +1,4 @@
-"""K012, K057: powers and functions of numbers that are written out, and that have no value."""
+"""K012, K057: powers and functions of constant numbers that have no value."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.types import INT
 from koordgen.lang.source import Span
 
-_TAKES = {"sqrt": "numbers from 0 up", "log": "numbers above 0", "asin": "numbers from -1 to 1"}
+_TAKES = {"sqrt": "numbers of at least 0", "log": "numbers above 0", "asin": "numbers from -1 to 1"}
 _TAKES["acos"] = _TAKES["asin"]
 
 
-def judge_power(value: ir.Binary, a: Analysis) -> None:
-    """Report a power of ints below zero, which is no int, and a power of floats that is no number."""
+def check_power(value: ir.Binary, a: Analysis) -> None:
+    """Report an int with a negative exponent, and a power of floats without a value."""
     if value.type is INT:
-        _judge_exponent(value.right, value.span, a)
+        _check_exponent(value.right, value.span, a)
         return
     base = number_of(value.left)
-    _judge(value, "0 has no power below 0" if base == 0 else "a number below 0 has whole powers only", a)
+    _check_value(value, "0 has no negative power" if base == 0 else "a negative number only has integral powers", a)
 
 
-def _judge_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
+def _check_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
     value = term(exponent, a.flow) if a.flow is not None else None
     if value is not None and not value.terms and value.constant < 0:
         help = "with a float on one side it is a float: 2.0 ** -1"
-        a.error("K012", f"an int to the power of {value.constant} is no int", span, help)
+        a.error("K012", f"an int to the power of {value.constant} is not an int", span, help)
 
 
-def judge_function(value: ir.Builtin, a: Analysis) -> None:
-    """Report a function of a number for which it has no value."""
-    _judge(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
+def check_function(value: ir.Builtin, a: Analysis) -> None:
+    """Report a function of a constant for which it has no value."""
+    _check_value(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
 
 
-def _judge(value: ir.Builtin | ir.Binary, help: str, a: Analysis) -> None:
+def _check_value(value: ir.Builtin | ir.Binary, help: str, a: Analysis) -> None:
     if a.path is None or a.poisoned:
         return
     span = value.span

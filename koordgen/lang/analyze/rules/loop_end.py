@@ -1,7 +1,7 @@
-"""K035: a `while` whose end cannot be seen.
+"""K035: a `while` that is not proved to end.
 
-Its end is seen where the condition compares a number, or a length, with what the loop leaves alone, and every way
-through the loop moves the number towards it by a constant step.
+The proof: the condition compares a number, or a length, with a value that the loop does not change, and every path
+through the loop moves the number towards this value by a constant step.
 """
 
 from __future__ import annotations
@@ -10,30 +10,30 @@ from collections.abc import Sequence
 
 from koordgen.lang.analyze.facts.flow import variable_of
 from koordgen.lang.analyze.facts.induction import conjuncts, writes
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import children, statements, walk
 from koordgen.lang.ir.types import POISON
 from koordgen.lang.node import Node
+from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
 _SHORTER = frozenset(("popped", "without", "removed", "set_without", "map_without"))
-_HELP = "a round must end: let the condition compare a number that each way through the loop moves on by a step"
+_HELP = "a round must end: compare a number in the condition, and let every path through the loop change it by a step"
 
 
 class _Wrong(Exception):
-    """Something moves the number another way, or not at all."""
+    """A path that moves the number in the wrong direction, or that continues without moving it."""
 
 
-def judge_end(node: stmt.While, findings: Findings) -> None:
-    """Warn of a loop whose end cannot be seen, unless there is an error in it."""
+def check_end(node: stmt.While, reporter: Reporter) -> None:
+    """Warn of a loop that is not proved to end, unless it contains an error."""
     if not _ends(node) and not any(_is_wrong(part) for part in walk(node)):
-        findings.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
+        reporter.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
 
 
 def _is_wrong(part: object) -> bool:
-    return isinstance(part, draft.Unread) or getattr(part, "type", None) is POISON
+    return isinstance(part, draft.UnparsedStmt) or getattr(part, "type", None) is POISON
 
 
 def _ends(node: stmt.While) -> bool:
@@ -71,7 +71,7 @@ def _moves_towards(moved: ir.Expr, other: ir.Expr, step: int, block: stmt.Block)
 
 
 def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
-    """Return whether a block writes something that a bound reads. A list whose elements it writes keeps its length."""
+    """Return whether a block may change a bound's value. Writing a list's elements does not change its length."""
     written = list(writes(block))
     changed, resized = {name for name, _ in written}, {name for name, same_length in written if not same_length}
     pending: list[Node] = [bound]
@@ -89,7 +89,7 @@ def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
 
 
 def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, moved: bool) -> bool:
-    """Return whether the number has moved when the end of the block is reached; True where no run reaches it."""
+    """Return whether every path to the end of the block moves the number; True if no path reaches the end."""
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):
@@ -110,7 +110,10 @@ def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, mo
 
 
 def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
-    """Return whether a statement moves the number by a step the right way. Raises _Wrong where it changes otherwise."""
+    """Return whether a statement moves the number in the right direction.
+
+    Raises _Wrong if it changes it otherwise.
+    """
     if not isinstance(statement, stmt.Assign) or variable_of(statement.place) != name:
         return False
     if not length:
@@ -129,7 +132,7 @@ def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
 
 
 def _step(name: str, value: ir.Expr) -> float:
-    """Return by how much `name = value` moves it; 0 where that is not known."""
+    """Return by how much `name = value` changes the variable; 0 if this is not known."""
     match value:
         case ir.Binary("+" | "-" as sign, first, by) if variable_of(first) == name:
             return _number(by) if sign == "+" else -_number(by)
@@ -148,7 +151,7 @@ def _number(node: ir.Expr) -> float:
 
 
 def _returns_to_start(block: Sequence[draft.Draft]) -> bool:
-    """Return whether the loop may run a second time: its block ends, or goes on with the next turn."""
+    """Return whether the loop may run a second time: some path reaches the block's end or a `continue`."""
     for statement in block:
         match statement:
             case stmt.Continue():
@@ -166,7 +169,7 @@ def _returns_to_start(block: Sequence[draft.Draft]) -> bool:
 
 
 def _continues(block: Sequence[draft.Draft]) -> bool:
-    """Return whether some way through a block goes on with the loop around it."""
+    """Return whether some path through a block reaches a `continue` of the enclosing loop."""
     for statement in block:
         match statement:
             case stmt.Continue():

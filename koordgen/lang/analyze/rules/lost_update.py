@@ -1,4 +1,4 @@
-"""K040: an event that reads an allwrite variable and writes it may undo another robot's write of the same round."""
+"""K040: an event that reads and writes an allwrite variable may lose another robot's update."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.source import Span
 
 
-def judge_write(name: str, span: Span, a: Analysis) -> None:
-    """Report a write to an allwrite variable that the event has read, unless nothing can be lost: under `atomic`, or
-    where one robot alone can be."""
+def check_write(name: str, span: Span, a: Analysis) -> None:
+    """Report a write to an allwrite variable that the event has read.
+
+    No update can be lost under `atomic`, or if only one robot can reach this point in a round.
+    """
     if a.place == "init":
-        return  # it has read none
+        return  # init cannot read shared variables
     if name in a.read_shared and not a.transaction and not a.poisoned and not _only_one_robot(a):
         help = "another robot may write it in the same round, and one update is lost; under 'atomic:' none is"
         a.warn("K040", f"this event reads {name} and writes it: an update may be lost", span, help)
@@ -26,34 +28,37 @@ _OTHER = "other pid"
 
 
 def _only_one_robot(a: Analysis) -> bool:
-    """Return whether two robots can never be here in one round: two robots, each with its own pid, variables and ports,
-    but with the same params and the same shared variables, contradict the guard, or what is known here."""
+    """Return whether two robots can never reach this point in the same round.
+
+    Proof: two robots with different pids and with their own variables and ports, but with the same params and shared
+    variables, contradict the guard or the facts here.
+    """
     if a.flow is None:
         return True
-    # Shared variables that this event has written are a robot's own until the round ends.
+    # Until the round ends, each robot sees its own writes to shared variables, so these values may differ.
     own = {f"shared {name}" for name in a.written_shared}
     here = [fact for fact in a.flow.facts if own.isdisjoint(linear.variables(fact))]
     return _contradictory(here) or (a.guard is not None and _contradictory([a.guard.formula]))
 
 
 def _contradictory(facts: list[linear.Formula]) -> bool:
-    """Whether the facts cannot hold of two robots."""
+    """Return whether the facts cannot hold for two robots at once."""
     pid, another, size = linear.variable(linear.PID), linear.variable(_OTHER), linear.variable(linear.N_SYS)
     return unsat((*facts, *map(_renamed, facts), linear.less(pid, another), linear.less(another, size)))
 
 
 def _renamed(item: linear.Formula) -> linear.Formula:
-    """A condition as it is for another robot."""
+    """Return a condition with the other robot's variables in place of this robot's."""
     match item:
         case linear.AtLeastZero(term):
             return linear.AtLeastZero(_term(term))
-        case linear.Fact(key, holds):
-            return linear.Fact(_key(key), holds)
+        case linear.BoolFact(key, holds):
+            return linear.BoolFact(_key(key), holds)
         case linear.And(parts):
             return linear.And(tuple([_renamed(part) for part in parts]))
         case linear.Or(parts):
             return linear.Or(tuple([_renamed(part) for part in parts]))
-        case linear.Unknown():
+        case linear.UnknownCondition():
             return item
         case _:
             assert_never(item)
@@ -79,8 +84,8 @@ def _variable(var: linear.Var) -> linear.Var:
             return linear.Quotient(_term(operand), divisor)
         case linear.Remainder(operand, divisor):
             return linear.Remainder(_term(operand), _term(divisor))
-        case linear.Choice(condition, then, orelse):
-            return linear.Choice(_renamed(condition), _term(then), _term(orelse))
+        case linear.ConditionalTerm(condition, then, orelse):
+            return linear.ConditionalTerm(_renamed(condition), _term(then), _term(orelse))
         case linear.Length(of):
             return linear.Length(_key(of))
         case linear.Value(of):

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl, stmt
-from koordgen.lang.ir.draft import Unread
+from koordgen.lang.ir.draft import UnparsedStmt
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POISON
+from koordgen.lang.reporter import Reporter
 
 
-def judge_end(function: decl.Function, findings: Findings) -> None:
-    """Report a function whose end some run reaches, unless the text contains what could not be read."""
+def check_end(function: decl.Function, reporter: Reporter) -> None:
+    """Report a function whose end is reachable, unless a statement of it could not be parsed."""
     parts = list(walk(function.block))
-    if any(isinstance(part, Unread) for part in parts):
+    if any(isinstance(part, UnparsedStmt) for part in parts):
         return
     none = function.result is POISON and not any(isinstance(part, stmt.Return) for part in parts)
     message = f"the function {function.name} {'has no' if none else 'can end without'} 'return'"
-    findings.report("error", "K029", message, function.span, "let every way through it end with 'return value'")
+    reporter.report("error", "K029", message, function.span, "end every path through it with 'return value'")

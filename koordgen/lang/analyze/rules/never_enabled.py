@@ -1,4 +1,4 @@
-"""K041, K042: an event whose guard never holds, or only where an event with priority runs."""
+"""K041, K042: an event whose guard never holds, or holds only if an event with priority can run."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from collections.abc import Sequence
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.decide import unsat
 from koordgen.lang.analyze.facts.path import Condition, is_open
-from koordgen.lang.analyze.rules.hidden_event import Judged
+from koordgen.lang.analyze.rules.hidden_event import AnalysedEvent
 from koordgen.lang.diagnostics import Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl
+from koordgen.lang.reporter import Reporter
 
-MOST_EARLIER = 10  # guards with priority that are judged together with one; to leave others out is always right
+MOST_EARLIER = 10  # number of guards with priority to consider; leaving guards out only loses warnings
 _NOTHING: frozenset[str] = frozenset()
 
 
-def can_run(event: decl.Event, guard: Condition, first: Sequence[Judged], findings: Findings) -> bool:
-    """Return whether a guard may hold where the guards of `first` are false. Warn where it cannot."""
+def can_run(event: decl.Event, guard: Condition, first: Sequence[AnalysedEvent], reporter: Reporter) -> bool:
+    """Return whether a guard may hold while the guards of `first` are false; warn if it cannot."""
     if (not first and is_open(guard.node, _NOTHING)) or guard.formula == linear.UNKNOWN:
         return True
     name = event.name
     if unsat((guard.formula,)):
-        findings.warn("K041", f"the event {name} can never run: its guard never holds", event.guard.span)
+        reporter.warn("K041", f"the event {name} can never run: its guard never holds", event.guard.span)
         return False
     nearest = first[-MOST_EARLIER:]
     failed = [linear.negate(other.guard.formula) for other in nearest if other.guard is not None]
     if failed and unsat((guard.formula, *failed)):
         labels = tuple([Label(other.event.span, "has priority") for other in nearest])
-        message = f"the event {name} can never run: its guard holds only where that of an event with priority does"
-        findings.warn("K042", message, event.span, "write it before these, or let them ask for more", labels)
+        message = f"the event {name} can never run: its guard holds only if that of an event with priority holds"
+        reporter.warn("K042", message, event.span, "move it before these events, or make their guards stricter", labels)
         return False
     return True
 

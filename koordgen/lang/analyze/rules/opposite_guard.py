@@ -1,4 +1,4 @@
-"""Help for K030, K032 and K034: where the opposite of the guard would make an event right, it may have been meant."""
+"""Help for K030, K032 and K034: if the negated guard would make an event right, suggest it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from koordgen.lang.source import Span
 
 
 def help_by_negation(written: Span, a: Analysis) -> None:
-    """Where the opposite of the guard (`written` there) would make every index and divisor right, says so."""
+    """Suggest the negated guard if it would make every index and divisor of the event right.
+
+    `written` is the span of the guard.
+    """
     if not a.refuted or a.guard is None:
         return
     opposite = linear.negate(a.guard.formula)

@@ -1,22 +1,22 @@
-"""K021: a robot writes its own slot of an allread variable only."""
+"""K021: a robot may only write its own slot of an allread variable."""
 
 from __future__ import annotations
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.terms import term
 from koordgen.lang.analyze.rules.analysis import Analysis
-from koordgen.lang.analyze.rules.evidence import never
+from koordgen.lang.analyze.rules.evidence import is_impossible
 from koordgen.lang.ir.draft import SlotPlace
 
 _PID = linear.variable(linear.PID)
 
 
 def is_own(place: SlotPlace, a: Analysis) -> bool:
-    """Return whether the index of a slot that is written is `pid` here, always. Report it otherwise."""
+    """Return whether the index of a written slot is proved to be `pid`; report it otherwise."""
     if a.flow is None or a.poisoned:
         return True
     value = term(place.index, a.flow)
-    if value is not None and never(linear.negate(linear.equal(value, _PID)), a):
+    if value is not None and is_impossible(linear.negate(linear.equal(value, _PID)), a):
         return True
     message = f"{a.text(place.span)} may be another robot's slot; a robot writes {place.name}[pid] only"
     a.error("K021", message, place.span, f"write {place.name}[pid] = ...")

@@ -1,36 +1,39 @@
-"""K044: an event that is no transaction writes a variable that transactions write."""
+"""K044: an event without `atomic` writes a variable that transactions write."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 from koordgen.lang.diagnostics import Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir.draft import Atomic
 from koordgen.lang.ir.tree import statements
+from koordgen.lang.reporter import Reporter
 from koordgen.lang.source import Span
 
 
-def judge_plain_writes(
-    found: Sequence[tuple[decl.Event, Atomic | None]], used: Sequence[set[str]], findings: Findings
+def check_plain_writes(
+    found: Sequence[tuple[decl.Event, Atomic | None]], used: Sequence[set[str]], reporter: Reporter
 ) -> None:
-    """Warn of plain events that write what a transaction writes. `found`: the events, each with its first `atomic`;
-    `used`: the shared variables of each that is a transaction."""
+    """Warn of plain events that write a variable that a transaction writes.
+
+    `found` has the events, each with its first `atomic` or None. `used` has for each transaction its shared variables,
+    for each plain event an empty set.
+    """
     guarded: dict[str, tuple[str, Span]] = {}
     for (event, atomic), names in zip(found, used, strict=True):
         if names and atomic is not None:
             for place, _ in _writes(event.effect):
                 guarded.setdefault(place.name, (event.name, atomic.span))
     for (event, _), names in zip(found, used, strict=True):
-        told: set[str] = set()
+        reported: set[str] = set()
         for place, span in () if names else _writes(event.effect):
-            if place.name in guarded and place.name not in told:
-                told.add(place.name)
+            if place.name in guarded and place.name not in reported:
+                reported.add(place.name)
                 other, at = guarded[place.name]
                 label = Label(at, f"{other} writes it as a transaction")
                 message = f"a plain write to {place.name} bypasses the transactions that write it"
-                findings.warn("K044", message, span, "write it under 'atomic:' here as well", (label,))
+                reporter.warn("K044", message, span, "write it under 'atomic:' here as well", (label,))
 
 
 def _writes(block: stmt.Block) -> Iterator[tuple[stmt.OwnSlot | stmt.SharedPlace, Span]]:

@@ -1,4 +1,4 @@
-"""K030, K031: an index of an allread variable names a robot of the fleet."""
+"""K030, K031: an index of an allread variable must name a robot of the fleet."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from koordgen.lang.analyze.facts.terms import term
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.evidence import (
     ZERO,
+    counterexample,
     example_text,
-    help_of,
-    holds_never,
+    help_at_run_time,
+    is_refuted,
     is_right_by_default,
     is_wrong_in_a_run,
-    open_side,
-    refuted,
+    missing_condition,
     robots_of,
-    untold,
+    unproved_side,
 )
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.source import Span
@@ -25,7 +25,7 @@ _SIZE = linear.variable(N_SYS)
 
 
 def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether 0 <= index < N_SYS here, always. Report a wrong or a doubtful index."""
+    """Return whether 0 <= index < N_SYS is proved. Reports an index that is, or may be, out of range."""
     if type(index) is ir.Pid:
         return True
     if a.flow is None or a.poisoned:
@@ -34,13 +34,13 @@ def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
     if value is not None:
         sides = (linear.at_least(value, _SIZE), linear.less(value, ZERO))
         bad = linear.Or(sides)
-        if holds_never(bad, a):
+        if is_refuted(bad, a):
             return True
         if is_right_by_default(bad, a):
             return False
         text = a.text(span)
         for side in sides:
-            example, certain = refuted(side, bad, (value,), a)
+            example, certain = counterexample(side, bad, (value,), a)
             if example is None:
                 continue
             robot, shown = robots_of(side, value, example, a)
@@ -48,12 +48,18 @@ def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
             if certain:
                 a.site_error("K030", f"{robot} reads {text}: index {shown} names no robot ({such})", span)
             else:
-                a.warn("K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, help_of(a))
+                a.warn(
+                    "K031", f"{robot} may read {text}: index {shown} names no robot ({such})", span, help_at_run_time(a)
+                )
             return False
         if is_wrong_in_a_run(value, _SIZE, "N_SYS", "names no robot", span, a):
             return False
-    open_ = open_side(value, _SIZE, a.text(index.span), "N_SYS", a)
+    open_ = unproved_side(value, _SIZE, a.text(index.span), "N_SYS", a)
     check = f"'if {open_ or f'0 <= {a.text(index.span)} < N_SYS'}:' around it shows it"
-    help = help_of(a) if a.place in ("property", "assume") or len(check) > 80 else f"{help_of(a)}; {check}"
-    a.warn("K031", f"{a.text(span)} may name no robot{untold(open_)}", span, help)
+    help = (
+        help_at_run_time(a)
+        if a.place in ("property", "assume") or len(check) > 80
+        else f"{help_at_run_time(a)}; {check}"
+    )
+    a.warn("K031", f"{a.text(span)} may name no robot{missing_condition(open_)}", span, help)
     return False

@@ -1,10 +1,10 @@
-"""K043: a statement, a branch or a loop that can never run."""
+"""K043: statements, branches and loops that can never run."""
 
 from __future__ import annotations
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.decide import unsat
-from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, AtLeastZero, Fact, Formula
+from koordgen.lang.analyze.facts.linear import N_SYS, PID, And, AtLeastZero, BoolFact, Formula
 from koordgen.lang.analyze.facts.terms import Flow, names_of
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.ir import expr as ir
@@ -12,15 +12,15 @@ from koordgen.lang.source import Span
 
 
 def _is_impossible(condition: Formula, before: Flow) -> bool:
-    """Return whether a condition contradicts what is known."""
+    """Return whether a condition contradicts the facts before it."""
     if condition is linear.UNKNOWN:
         return False
     names = names_of(condition)
     facts = before.relevant(names)
     if not facts and PID not in names and N_SYS not in names:
-        # Nothing is known of these: only what contradicts itself is impossible, and one comparison does not.
+        # Without facts about its names, a condition is impossible only if it contradicts itself; one comparison cannot.
         match condition:
-            case Fact():
+            case BoolFact():
                 return False
             case AtLeastZero(value) if value.terms:
                 return False
@@ -31,18 +31,18 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
     return unsat((*facts, condition))
 
 
-def judge_statement(span: Span, a: Analysis) -> None:
-    """Warn of the first statement behind one that every run leaves."""
-    a.warn("K043", "this statement can never run: every way to it has stopped or left", span)
+def check_statement(span: Span, a: Analysis) -> None:
+    """Warn of the first statement that no path reaches."""
+    a.warn("K043", "this statement can never run: every path to it has stopped or left", span)
 
 
-def judge_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:
-    """Warn of a branch whose condition contradicts what is known where it is judged."""
+def check_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:
+    """Warn of a branch whose condition contradicts the facts before it."""
     if _is_impossible(passed, before):
         a.warn("K043", f"this branch can never run: {a.text(condition.span)} never holds here", span)
 
 
-def judge_loop(condition: ir.Expr, first: Formula, span: Span, before: Flow, a: Analysis) -> None:
-    """Warn of a `while` whose condition is false where it begins."""
+def check_loop(condition: ir.Expr, first: Formula, span: Span, before: Flow, a: Analysis) -> None:
+    """Warn of a `while` whose condition is always false when the loop begins."""
     if not a.poisoned and _is_impossible(first, before):
         a.warn("K043", f"this loop can never run: {a.text(condition.span)} does not hold here", span)

@@ -1,50 +1,55 @@
-"""K041, beside K041 and K042 of other rules: events that wait for a bool that only waiting events set never run."""
+"""K041: events that wait for a bool that only such events set. Events with a K041 or K042 are left out."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
 from koordgen.lang.diagnostics import Label
-from koordgen.lang.findings import Findings
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import BOOL
+from koordgen.lang.reporter import Reporter
 
-Starts = Mapping[str, object]  # local bools, with the values that they start with
+Starts = Mapping[str, object]  # name of a local bool -> its initial value
 
 
-def judge_waiting(program: decl.Program, is_whole: Callable[[], bool], findings: Findings) -> None:
-    """Warn of each event whose guard asks for a local bool to be other than it starts, when only such events would
-    make it so. A bool that nothing ever sets is taken for a switch that somebody turns in the text. `is_whole` returns
-    whether all of the text could be read."""
+def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter: Reporter) -> None:
+    """Warn of each event that waits for a bool which only such waiting events change.
+
+    The guard of such an event needs a local bool to differ from its initial value. A bool that no event sets is taken
+    for a switch that its author sets in the text. `is_whole` returns whether all of the text could be parsed.
+    """
     starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
     events = program.events
-    asked = [_asked(event.guard, starts) for event in events]
-    if not any(asked) or findings.has_errors():
+    asked = [_needed_flags(event.guard, starts) for event in events]
+    if not any(asked) or reporter.has_errors():
         return
-    stuck = _stuck(asked, program.init, events, starts)
+    stuck = _unchanged_flags(asked, program.init, events, starts)
     if not stuck or not is_whole():
         return
     makers: dict[str, list[str]] = {flag: [] for flag in stuck}
     for event in events:
-        for flag in _turned(event.effect, starts) & stuck:
+        for flag in _changed_flags(event.effect, starts) & stuck:
             makers[flag].append(event.name)
-    told = {(d.span.line, d.span.column) for d in findings.found if d.code in ("K041", "K042")}
+    reported = {(d.span.line, d.span.column) for d in reporter.found if d.code in ("K041", "K042")}
     spans = {v.name: v.span for v in program.locals}
     for event, flags in zip(events, asked, strict=True):
         own = min(flags & stuck, default=None)
-        if own is None or not told.isdisjoint((s.line, s.column) for s in (event.span, event.guard.span)):
+        if own is None or not reported.isdisjoint((s.line, s.column) for s in (event.span, event.guard.span)):
             continue
         who = f"only {makers[own][0]} makes" if len(makers[own]) == 1 else "only events that can never run make"
         old, new = starts[own], not starts[own]
         message = f"the event {event.name} can never run: {own} starts {old}, and {who} it {new}"
-        help = f"let init or another event make it {new}, or ask for '{own if old else f'not {own}'}'"
-        findings.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
+        help = f"set it to {new} in init or another event, or change the guard to '{own if old else f'not {own}'}'"
+        reporter.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
 
 
-def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
-    """Return the bools that must be other than they start for a guard to hold: those that it joins by `and`."""
+def _needed_flags(guard: ir.Expr, starts: Starts) -> set[str]:
+    """Return the bools that a guard needs to differ from their initial values.
+
+    Only conditions that the guard joins by `and` count.
+    """
     found: set[str] = set()
     pending = [guard]
     while pending:
@@ -58,8 +63,10 @@ def _asked(guard: ir.Expr, starts: Starts) -> set[str]:
     return found
 
 
-def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ...], starts: Starts) -> set[str]:
-    """Return the bools that keep what they start with: the most for which that is consistent."""
+def _unchanged_flags(
+    asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ...], starts: Starts
+) -> set[str]:
+    """Return the bools that keep their initial values: the largest consistent set."""
     waiting: dict[str, list[int]] = {}
     for position, flags in enumerate(asked):
         for flag in flags:
@@ -76,18 +83,18 @@ def _stuck(asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ..
 
     def run() -> None:
         while pending and waiting:
-            turn(_turned(events[pending.pop()].effect, starts))
+            turn(_changed_flags(events[pending.pop()].effect, starts))
 
-    turn(_turned(init, starts))
+    turn(_changed_flags(init, starts))
     run()
     if waiting:
-        turn(waiting.keys() - set[str]().union(*(_turned(event.effect, starts) for event in events)))
+        turn(waiting.keys() - set[str]().union(*(_changed_flags(event.effect, starts) for event in events)))
         run()
     return set(waiting)
 
 
-def _turned(block: stmt.Block, starts: Starts) -> set[str]:
-    """Return the bools that a block may make other than they start."""
+def _changed_flags(block: stmt.Block, starts: Starts) -> set[str]:
+    """Return the bools that a block may change from their initial values."""
     found: set[str] = set()
     for statement in statements(block):
         match statement:

@@ -1,6 +1,6 @@
 """Checks of expressions.
 
-Owns: names, calls, collections, operators, numbers, words of the 2020 dialect.
-Offers: `expr.Expressions` and its parts to statements.
+Owns: names, calls, collections, operators, spellings of the 2020 dialect.
+Offers: `expr.check_expr`, and checkers of calls, names and collections, to `statements`.
 Must not import: `statements`, `sections`.
 """

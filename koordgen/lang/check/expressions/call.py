@@ -1,10 +1,18 @@
-"""Calls: builtins, methods, functions of the program's own, extern functions, callable ports, records."""
+"""Calls of builtins, methods, functions, extern functions, callable ports and records."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence as Many
 
-from koordgen.lang.check.base import a, argument, check_expr, fitting, is_poisoned, same, widened
+from koordgen.lang.check.base import (
+    check_expr,
+    converted,
+    converted_argument,
+    is_poisoned,
+    same_type,
+    widened,
+    with_article,
+)
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.expressions.dialect import FUNCTIONS as OLD_FUNCTIONS
 from koordgen.lang.check.expressions.dialect import old_call
@@ -18,10 +26,10 @@ from koordgen.lang.check.expressions.name import (
     methods_of,
     module_named,
     names_a_value,
-    not_called,
-    word_of,
+    report_not_called,
+    type_word,
 )
-from koordgen.lang.check.invariant import check_old, port_called
+from koordgen.lang.check.invariant import check_old, report_port_call
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, ORDERED, UPDATES, VARIABLES, K, N, Signature
@@ -67,12 +75,12 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         return c.error("K017", "this is not a function", function.span, "", (), called, *args)
     name = function.name
     if c.temp(name) is not None:
-        return _no_function(node, function, c)
+        return _not_a_function(node, function, c)
     owner = assumed_port(name, c) if c.place == "assume" else None
     if owner is not None:
         return _port_call(node, owner, ast.Attribute(function, name, function.span, function.span), c)
     if name in c.entities:
-        return _own(node, function, c)
+        return _declared_call(node, function, c)
     if name in FUNCTIONS:
         return _builtin(name, node, c)
     if name == "old":
@@ -81,10 +89,10 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         modern = old_call(node, function, c)
         if modern is not None:
             return check_expr(modern, c, wanted)
-    return _no_function(node, function, c)
+    return _not_a_function(node, function, c)
 
 
-def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
+def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     entity = c.entities[function.name]
     match entity:
         case None:
@@ -94,11 +102,11 @@ def _own(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         case decl.Function() | decl.ExternFunction() | decl.SpecFunction():
             return _function(entity, node, function, c)
         case _:
-            return _no_function(node, function, c)
+            return _not_a_function(node, function, c)
 
 
 def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
-    """Check the arguments of what cannot be called: they may have mistakes of their own. Return them."""
+    """Check and return the arguments of a wrong call, because they may have errors of their own."""
     checked = []
     for arg in node.args:
         value = arg.value if isinstance(arg, ast.Keyword) else arg
@@ -112,24 +120,26 @@ def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
     return tuple(checked)
 
 
-def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
+def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
     args = skip(node, c)
     if name == "range":
-        help = "it stands in a loop: 'for i in range(n):'"
-        return c.error("K017", "range(...) is no value", node.span, help, (), *args)
+        help = "use it in a loop: 'for i in range(n):'"
+        return c.error("K017", "range(...) is not a value", node.span, help, (), *args)
     if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
         return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name], (), *args)
     if names_a_value(name, c):
-        not_called(name, function.span, c)
+        report_not_called(name, function.span, c)
         return c.poison(node.span, *args)
     if name in c.broken or name in c.owners:
         return c.poison(node.span, *args)
     if is_event(name, c):
-        help = "a robot chooses its events by their guards; move what two of them share into a 'fun'"
+        help = "a robot chooses its events by their guards; move code that several events share into a 'fun'"
         return c.error("K017", f"{name} is an event and is not called", function.span, help, (), *args)
     own = [n for n, e in c.entities.items() if isinstance(e, (decl.Function, decl.ExternFunction, decl.Record))]
-    help = c.nearest(name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"})
+    help = c.suggestion(
+        name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"}
+    )
     taken = "..." if node.args else ""
     define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
     return c.error("K010", f"{name} is not defined", function.span, help or define, (), *args)
@@ -138,15 +148,17 @@ def _no_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 # Arguments
 
 
-def positional(
+def positional_arguments(
     node: ast.Call, name: str, count: Many[int], takes: str, c: Context
 ) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
-    """Return the arguments of what takes no names, which are not checked yet; or poison after reporting that they are
-    too many, too few, or named."""
+    """Return the unchecked arguments of a call that takes no names.
+
+    Returns poison after reporting that they are too many, too few, or named. `count` has the allowed numbers.
+    """
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
             args = skip(node, c)
-            help = "names stand before the values of a record's fields only"
+            help = "only fields of records are given by name"
             return c.error("K014", f"{name} takes its arguments without names", arg.span, help, (), *args)
     if len(node.args) not in count:
         args = skip(node, c)
@@ -157,21 +169,21 @@ def positional(
     return node.args  # type: ignore[return-value]
 
 
-def _handed(
+def _converted_arguments(
     nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
 ) -> tuple[ir.Expr, ...]:  # fmt: skip
-    """Return the arguments of known types; those that are wrong are poison."""
+    """Check arguments against the types of the parameters and return them; wrong ones become poison."""
     args = []
     for node, type_ in zip(nodes, types, strict=True):
         value = check_expr(node, c, type_)
         before = len(c.found)
-        args.append(argument(value, type_, f"an argument of {name}", c))
-        _explain(before, takes, c)
+        args.append(converted_argument(value, type_, f"an argument of {name}", c))
+        _add_help(before, takes, c)
     return tuple(args)
 
 
-def _explain(before: int, takes: str, c: Context) -> None:
-    """Says what a function takes beside what was found of an argument, unless there is a better help."""
+def _add_help(before: int, takes: str, c: Context) -> None:
+    """Add `takes` as the help of all diagnostics since number `before` that have no help."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
             c.found[position] = replace(c.found[position], help=takes)
@@ -183,7 +195,7 @@ def _explain(before: int, takes: str, c: Context) -> None:
 def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
     signatures = FUNCTIONS[name]
     takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
-    nodes = positional(node, name, (len(signatures[0].args),), takes, c)
+    nodes = positional_arguments(node, name, (len(signatures[0].args),), takes, c)
     if not isinstance(nodes, tuple):
         return nodes
     if len(signatures) == 1:
@@ -193,12 +205,12 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
         return c.poison(node.span, arg)
     for signature in signatures:
         bound: Bound = {}
-        value = bind(signature.args[0], arg, bound)
+        value = match_argument(signature.args[0], arg, bound)
         if value is not None:
-            result = filled(signature.result, bound)
+            result = substituted(signature.result, bound)
             assert result is not None
             return ir.Builtin(name, (value,), result, node.span)
-    return c.error("K012", f"{name} does not apply to {a(arg.type)}", arg.span, takes, (), arg)
+    return c.error("K012", f"{name} does not apply to {with_article(arg.type)}", arg.span, takes, (), arg)
 
 
 _TAKES = {
@@ -217,30 +229,30 @@ def _applied(
     name: str, signature: Signature, nodes: tuple[ast.Expr, ...], takes: str, span: Span, c: Context,
     first: ir.Expr | None = None,
 ) -> ir.Expr:  # fmt: skip
-    """A builtin with one signature; `first` is the object of a method."""
+    """Check a call of a builtin with a single signature. `first` is the object if it is a method."""
     bound: Bound = {}
     args: list[ir.Expr] = []
     poisoned = False
     patterns = signature.args
     if first is not None:
-        args.append(bind(patterns[0], first, bound) or first)
+        args.append(match_argument(patterns[0], first, bound) or first)
         patterns = patterns[1:]
     for pattern, node in zip(patterns, nodes, strict=True):
-        value = check_expr(node, c, filled(pattern, bound))
-        taken = value if value.type is POISON else bind(pattern, value, bound)
+        value = check_expr(node, c, substituted(pattern, bound))
+        taken = value if value.type is POISON else match_argument(pattern, value, bound)
         args.append(value if taken is None else taken)
         poisoned = poisoned or taken is None or taken.type is POISON
         if taken is None:
             before = len(c.found)
-            wanted = filled(pattern, bound)
+            wanted = substituted(pattern, bound)
             if wanted is None:
-                c.error("K012", f"{name} does not apply to {a(value.type)}", value.span, takes)
+                c.error("K012", f"{name} does not apply to {with_article(value.type)}", value.span, takes)
             else:
-                fitting(value, wanted, f"an argument of {name}", c)
-            _explain(before, takes, c)
+                converted(value, wanted, f"an argument of {name}", c)
+            _add_help(before, takes, c)
     if poisoned:
         return c.poison(span, *args)
-    result = filled(signature.result, bound)
+    result = substituted(signature.result, bound)
     assert result is not None
     if bound.get("N") is FLOAT:
         args = [widened(arg, FLOAT) for arg in args]
@@ -248,7 +260,7 @@ def _applied(
 
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
-    if isinstance(function.value, ast.Name) and _unknown(function.value.name, c) and function.name in FUNCTIONS:
+    if isinstance(function.value, ast.Name) and _is_unknown(function.value.name, c) and function.name in FUNCTIONS:
         args = skip(node, c)  # math.sqrt(2)
         message, help = f"{function.value.name} is not defined", f"write {function.name}(...)"
         return c.error("K010", message, function.value.span, help, (), *args)
@@ -256,10 +268,10 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if operand.type is POISON:
         return c.poison(node.span, operand, *skip(node, c))
     type_, name = operand.type, function.name
-    word = "List" if isinstance(type_, PerRobot) else word_of(type_)
+    word = "List" if isinstance(type_, PerRobot) else type_word(type_)
     signature = METHODS.get((word, name))
     if signature is not None:
-        nodes = positional(node, name, (len(signature.args) - 1,), "", c)
+        nodes = positional_arguments(node, name, (len(signature.args) - 1,), "", c)
         takes = f"{name} takes {shown(signature, 1)}"
         if not isinstance(nodes, tuple):
             return c.poison(node.span, operand, nodes)
@@ -268,20 +280,20 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
         help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
-        message = f"{name} changes {text}: it has no place within an expression"
+        message = f"{name} changes {text}: it cannot be used within an expression"
         return c.error("K027", message, node.span, help, (), *parts)
-    no_method(operand, function, c)
+    report_no_method(operand, function, c)
     return c.poison(node.span, *parts)
 
 
-def _unknown(name: str, c: Context) -> bool:
+def _is_unknown(name: str, c: Context) -> bool:
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
-def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
-    """Report that a value has no such method, with what may have been meant."""
+def report_no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
+    """Report that a value has no such method, and suggest what to write."""
     type_, name, text = operand.type, function.name, c.text(function.value.span)
-    word = word_of(type_)
+    word = type_word(type_)
     if field_of(type_, name) is not None:
         c.error("K017", f"{text}.{name} is a field and is not called", function.span)
         return
@@ -297,13 +309,13 @@ def no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
         help = f"write {name}({text}, ...)" if len(FUNCTIONS[name][0].args) > 1 else f"write {name}({text})"
     else:
         methods = methods_of(type_)
-        help = c.nearest(name, methods) or (f"{a(type_)} has {', '.join(methods)}" if methods else "")
+        help = c.suggestion(name, methods) or (f"{with_article(type_)} has {', '.join(methods)}" if methods else "")
         if word == "string":
-            help = "texts are joined with '+', cut with s[a:b], searched with 'in'; str(...) makes one"
-    c.error("K015", f"{a(type_)} has no method {name}", function.name_span, help)
+            help = "join strings with '+', cut them with s[a:b], search them with 'in'; str(...) makes a string"
+    c.error("K015", f"{with_article(type_)} has no method {name}", function.name_span, help)
 
 
-# What the program declares
+# Functions, ports and records that the program declares
 
 
 def _function(
@@ -312,12 +324,12 @@ def _function(
     name, span = entity.name, node.span
     types = [parameter.type for parameter in entity.parameters]
     takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional(node, name, (len(types),), takes, c)
-    args = _handed(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
+    nodes = positional_arguments(node, name, (len(types),), takes, c)
+    args = _converted_arguments(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
         return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
     if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
-        message = f"{name} is declared by 'spec fun': it has a meaning in properties only"
+        message = f"{name} is declared by 'spec fun': it can only be used in properties"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
         return c.error("K027", message, function.span, help, (), *args)
     if c.function:
@@ -336,20 +348,22 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         return c.poison(node.span, *skip(node, c))
     if port.type is not PLANNER:
         skipped = skip(node, c)
-        return c.error("K017", f"{name} is {a(port.type)} and is not called", function.span, "", (), *skipped)
+        return c.error(
+            "K017", f"{name} is {with_article(port.type)} and is not called", function.span, "", (), *skipped
+        )
     takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: a Point, a List<Grid> or a List<Point>"
-    nodes = positional(node, name, (1, 2), takes, c)
+    nodes = positional_arguments(node, name, (1, 2), takes, c)
     if not isinstance(nodes, tuple):
         return nodes
-    goal = fitting(check_expr(nodes[0], c), POINT, "the goal", c)
+    goal = converted(check_expr(nodes[0], c), POINT, "the goal", c)
     args = [goal]
     if len(nodes) == 2:
         obstacles = check_expr(nodes[1], c, _OBSTACLES[0])
-        if not any(same(obstacles.type, type_) for type_ in _OBSTACLES):
-            obstacles = argument(obstacles, _OBSTACLES[1], "what is to be avoided", c)
+        if not any(same_type(obstacles.type, type_) for type_ in _OBSTACLES):
+            obstacles = converted_argument(obstacles, _OBSTACLES[1], "the second argument", c)
         args.append(obstacles)
     if c.place == "assume" and module.name != c.module:
-        message = f"an assumption speaks of its module's ports, params and pid only, not of {name}"
+        message = f"an assumption can only use its module's ports, params and pid, not {name}"
         return c.error("K054", message, node.span, "", (), *args)
     if c.place not in ("init", "effect", "assume"):
         where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
@@ -358,14 +372,17 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         message = f"{what} cannot call {name}: its answer is an input of the event"
         return c.error("K027", message, node.span, help, (), *args)
     if c.entry is not None:
-        return port_called(name, node, c)
+        return report_port_call(name, node, c)
     if is_poisoned(args):
         return c.poison(node.span, *args)
     return ir.PortCall(module.name, port.name, tuple(args), _PATH, node.span)
 
 
 def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
-    """`Task(target=p)`: by position, then by name; the rest is as the record declares it."""
+    """Check a call that makes a record, as `Task(target=p)`: values by position, then by name.
+
+    Fields without a value get the initial values that the record declares.
+    """
     type_ = record.type
     names = [name for name, _ in type_.fields]
     given: dict[str, ir.Expr] = {}
@@ -380,7 +397,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         if isinstance(arg, ast.Keyword):
             name, value, span, named = arg.name, arg.value, arg.span, True
         elif named:
-            c.error("K014", "a value without a name stands behind one with a name", arg.span, takes)
+            c.error("K014", "a value without a name follows one with a name", arg.span, takes)
             poisoned = True
             continue
         else:
@@ -390,7 +407,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         return c.poison(node.span, *given.values())
     missing = [name for name in names if name not in given]
     if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
-        message = f"{type_.name} lacks {', '.join(missing)}: in the first value of a field it has no first values yet"
+        message = f"{type_.name} lacks {', '.join(missing)}: its initial values are unknown in a field's initial value"
         help = f"give each field of {type_.name} a value here"
         return c.error("K014", message, node.span, help, (), *given.values())
     first = dict(zip(names, record.defaults, strict=False))
@@ -401,13 +418,15 @@ def _field(
     record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
     c: Context,
 ) -> bool:  # fmt: skip
-    """Whether a field's value is right; it is `given` then."""
+    """Return whether a field's value is right. Adds it to `given`."""
     field = field_of(type_, name)
     if field is None:
         check_expr(value, c)
-        c.error("K015", f"{record} has no field {name}", span, c.nearest(name, [n for n, _ in type_.fields]) or takes)
+        c.error(
+            "K015", f"{record} has no field {name}", span, c.suggestion(name, [n for n, _ in type_.fields]) or takes
+        )
         return False
-    checked = fitting(check_expr(value, c, field), field, f"{record}.{name}", c)
+    checked = converted(check_expr(value, c, field), field, f"{record}.{name}", c)
     if name in given:
         c.error("K014", f"{record}.{name} is given twice", span)
         return False
@@ -415,16 +434,19 @@ def _field(
     return checked.type is not POISON
 
 
-# Signatures with type variables against the types of arguments.
+# Match signatures that have type variables with the types of arguments.
 
-Bound = dict[str, Type]  # a variable's name -> the type that it stands for
+Bound = dict[str, Type]  # name of a type variable -> type bound to it
 _VARIABLES = {variable.name for variable in VARIABLES}
 _SHOWN = {"T": "T", "V": "V", "K": "K", "N": "int or float", "O": "int, float or string"}
 
 
-def bind(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
-    """The value as what a signature takes there, an int widened to a float where one is wanted; None where it does not
-    fit. What the variables of the pattern stand for is added to `bound` where it does."""
+def match_argument(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
+    """Match an argument with the pattern of its parameter; None if it does not match.
+
+    Returns the value, widened to a float if the pattern asks for one. Adds the types of the pattern's variables to
+    `bound`.
+    """
     type_ = value.type
     if type_ is pattern:
         return value
@@ -442,7 +464,7 @@ def _agree(pattern: Type, type_: Type, bound: Bound) -> bool:
     match pattern:
         case Scalar(name) if name in _VARIABLES:
             if name in bound:
-                return same(bound[name], type_)
+                return same_type(bound[name], type_)
             if not _admits(pattern, type_):
                 return False
             bound[name] = type_
@@ -454,7 +476,7 @@ def _agree(pattern: Type, type_: Type, bound: Bound) -> bool:
         case MapOf(key, value):
             return isinstance(type_, MapOf) and _agree(key, type_.key, bound) and _agree(value, type_.value, bound)
         case _:
-            return same(pattern, type_)
+            return same_type(pattern, type_)
 
 
 def _admits(variable: Scalar, type_: Type) -> bool:
@@ -467,26 +489,29 @@ def _admits(variable: Scalar, type_: Type) -> bool:
     return variable is not K or is_key(type_)
 
 
-def filled(pattern: Type, bound: Bound) -> Type | None:
-    """The pattern with its variables replaced; None where one of them stands for nothing yet."""
+def substituted(pattern: Type, bound: Bound) -> Type | None:
+    """Return the pattern with its type variables replaced; None if one of them is not bound yet."""
     match pattern:
         case Scalar(name):
             return bound.get(name) if name in _VARIABLES else pattern
         case Sequence(word, element):
-            part = filled(element, bound)
+            part = substituted(element, bound)
             return None if part is None else pattern if part is element else Sequence(word, part, SHARED_ELEMENTS)
         case MapOf(key, value):
-            parts = filled(key, bound), filled(value, bound)
+            parts = substituted(key, bound), substituted(value, bound)
             return None if parts[0] is None or parts[1] is None else MapOf(parts[0], parts[1], SHARED_ELEMENTS)
         case TupleOf(items):
-            found = [filled(item, bound) for item in items]
+            found = [substituted(item, bound) for item in items]
             return None if None in found else TupleOf(tuple([f for f in found if f is not None]))
         case _:
             return pattern
 
 
 def shown(signature: Signature, skip: int = 0) -> str:
-    """What a builtin takes, in words: "(Point, Point)"; `skip` leaves out the object of a method."""
+    """Return the parameters of a builtin as text: "(Point, Point)".
+
+    `skip`: how many to leave out; 1 for a method.
+    """
     return f"({', '.join(_shown(arg) for arg in signature.args[skip:])})"
 
 

@@ -1,22 +1,22 @@
-"""Displays, indices, slices, `in`, and what loops and quantifiers run over."""
+"""Displays, indices, slices, `in`, quantifiers, and the domains of loops and quantifiers."""
 
 from __future__ import annotations
 
 from koordgen.lang.check.base import (
-    a,
-    argument,
     check_expr,
     condition,
-    fitting,
+    converted,
+    converted_argument,
     is_display,
     is_poisoned,
-    per_robot,
-    same,
+    report_missing_index,
+    same_type,
     widened,
+    with_article,
 )
 from koordgen.lang.check.context import Context, Temp
-from koordgen.lang.check.expressions.name import declared_port, module_named, shared_in_init
-from koordgen.lang.check.names import reserved
+from koordgen.lang.check.expressions.name import declared_port, module_named, report_shared_in_init
+from koordgen.lang.check.names import is_reserved
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.decl import Local, Module, Shared
@@ -48,7 +48,7 @@ _INTS = list_of(INT)
 
 
 def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`[a, b]`: a List, or a Queue or Set where one is wanted."""
+    """Check `[a, b]`: a List, or a Queue or Set if one is expected."""
     name = wanted.name if isinstance(wanted, Sequence) else "List"
     element = wanted.element if isinstance(wanted, (Sequence, PerRobot)) else None
     if not node.items and element is None:
@@ -57,7 +57,7 @@ def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) ->
 
 
 def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`{a, b}`"""
+    """Check `{a, b}`."""
     element = wanted.element if isinstance(wanted, Sequence) and wanted.name == "Set" else None
     made = _sequence("Set", node.items, element, node.span, c)
     if isinstance(made.type, Sequence) and not is_key(made.type.element):
@@ -66,7 +66,7 @@ def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> i
 
 
 def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`{k: v}`, and `{}`, an empty map or set as is wanted."""
+    """Check `{k: v}`, and `{}`, which is an empty Map or Set, whichever is expected."""
     if not node.items and isinstance(wanted, Sequence) and wanted.name == "Set":
         return ir.Make((), wanted, node.span)
     kinds: list[Type | None] = [wanted.key, wanted.value] if isinstance(wanted, MapOf) else [None, None]
@@ -86,14 +86,14 @@ def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> i
 
 
 def check_tuple(node: ast.Tuple, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """`(a, b)`"""
+    """Check `(a, b)`."""
     parts: tuple[Type | None, ...] = (None,) * len(node.items)
     if isinstance(wanted, TupleOf) and len(wanted.items) == len(node.items):
         parts = wanted.items
     items = []
     for item, part in zip(node.items, parts, strict=True):
         value = check_expr(item, c, part)
-        items.append(_whole(widened(value, part) if part is not None else value, c))
+        items.append(_single(widened(value, part) if part is not None else value, c))
     if is_poisoned(items):
         return c.poison(node.span, *items)
     return ir.Make(tuple(items), TupleOf(tuple([item.type for item in items])), node.span)
@@ -107,40 +107,46 @@ def _sequence(name: str, nodes: tuple[ast.Expr, ...], element: Type | None, span
 
 
 def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Context) -> list[ir.Expr]:
-    """Return the items of a display, all of one type: the wanted one, or else the first one's (with floats, ints
-    widen). One that is wrong is poison."""
+    """Return the items of a display, all of one type: `type_`, or else the type of the first item.
+
+    Ints are widened if an item is a float. Wrong items become poison.
+    """
     if type_ is not None:
-        return [fitting(check_expr(node, c, type_), type_, what, c) for node in nodes]
+        return [converted(check_expr(node, c, type_), type_, what, c) for node in nodes]
     typed = next((node for node in nodes if not is_display(node)), nodes[0])
-    first = _whole(check_expr(typed, c), c)
-    checked = [first if node is typed else _whole(check_expr(node, c, first.type), c) for node in nodes]
+    first = _single(check_expr(typed, c), c)
+    checked = [first if node is typed else _single(check_expr(node, c, first.type), c) for node in nodes]
     if is_poisoned(checked):
         return checked
     common = FLOAT if first.type is INT and any(item.type is FLOAT for item in checked) else first.type
     checked = [widened(item, common) for item in checked]
     for item in checked:
-        if not same(item.type, common):
-            message = f"this is {a(item.type)}, and the first is {a(common)}: all must be of one type"
-            return [c.error("K012", message, item.span, "", (Label(first.span, f"{a(common)}"),), *checked)]
+        if not same_type(item.type, common):
+            message = (
+                f"this is {with_article(item.type)}, and the first is {with_article(common)}: all must be of one type"
+            )
+            return [c.error("K012", message, item.span, "", (Label(first.span, f"{with_article(common)}"),), *checked)]
     return checked
 
 
-def _whole(value: ir.Expr, c: Context) -> ir.Expr:
-    """A part of a composed value: not one value a robot."""
-    return per_robot(value, c) if isinstance(value.type, PerRobot) else value
+def _single(value: ir.Expr, c: Context) -> ir.Expr:
+    """Return a part of a composed value; report an allread variable without an index."""
+    return report_missing_index(value, c) if isinstance(value.type, PerRobot) else value
 
 
 def _empty(node: ast.Expr, text: str, example: str, c: Context, wanted: Type | None) -> ir.Expr:
     if wanted is POISON:
         return c.poison(node.span)
     if wanted is not None:
-        return c.error("K012", f"{a(wanted)} is wanted here, not {text}", node.span)
-    help = f"give it one: '{example} name = {text}'"
-    return c.error("K051", f"nothing here tells the type of {text}", node.span, help)
+        return c.error("K012", f"{with_article(wanted)} is expected here, not {text}", node.span)
+    help = f"declare its type: '{example} name = {text}'"
+    return c.error("K051", f"nothing here determines the type of {text}", node.span, help)
 
 
 def _no_key(type_: Type, what: str, span: Span, c: Context) -> ir.Expr:
-    return c.error("K052", f"{a(type_)} cannot be {what}", span, "an int, a bool, a string, or a tuple of these")
+    return c.error(
+        "K052", f"{with_article(type_)} cannot be {what}", span, "an int, a bool, a string, or a tuple of these"
+    )
 
 
 # Indices
@@ -153,7 +159,7 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
         if type(entity) is Shared and entity.kind == "allread":
             return _slot(node, entity, c)
         if type(entity) is Local and c.place == "property":
-            index = robot(node.index, c)
+            index = robot_index(node.index, c)
             return index if index.type is POISON else ir.LocalOf(entity.name, index, entity.type, node.span)
     elif type(value) is ast.Attribute and c.place == "property":
         module = module_named(value.value, c)
@@ -166,26 +172,26 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
     return element(operand, index, node, c)
 
 
-def robot(node: ast.Expr, c: Context) -> ir.Expr:
-    """A robot's index in a property."""
-    return fitting(check_expr(node, c), INT, "an index", c)
+def robot_index(node: ast.Expr, c: Context) -> ir.Expr:
+    """Check the index of a robot in a property."""
+    return converted(check_expr(node, c), INT, "an index", c)
 
 
 def _port_of(node: ast.Index, value: ast.Attribute, c: Context) -> ir.Expr:
     module = module_named(value.value, c)
     assert module is not None
     port = declared_port(module, value, c)
-    index = robot(node.index, c)
+    index = robot_index(node.index, c)
     if port is None or index.type is POISON:
         return c.poison(node.span, index)
     if port.direction not in ("sensor", "actuator"):
-        return c.error("K054", f"{module.name}.{port.name} has no value that a property could speak of", node.span)
+        return c.error("K054", f"{module.name}.{port.name} has no value that a property can read", node.span)
     return ir.PortOf(module.name, port.name, index, port.type, node.span)
 
 
 def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
     name = entity.name
-    index = fitting(check_expr(node.index, c), INT, "an index", c)
+    index = converted(check_expr(node.index, c), INT, "an index", c)
     if index.type is POISON or entity.type is POISON:
         return c.poison(node.span, index)
     match c.place:
@@ -193,19 +199,19 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
             message = f"an initial value cannot depend on the variable {name}"
             return c.error("K025", message, node.span, "set it in init")
         case "function" | "contract" | "assume":
-            return check_expr(node.value, c)  # which says why not
+            return check_expr(node.value, c)  # reports why the variable cannot be read
         case "init" if not isinstance(index, ir.Pid):
-            return shared_in_init(c.text(node.span), node.span, c)
+            return report_shared_in_init(c.text(node.span), node.span, c)
     return ir.SlotRead(name, index, type(index) is ir.Pid, entity.type, node.span)
 
 
 def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir.Expr:
-    """`operand[index]` of a value."""
+    """Return `operand[index]`, typed."""
     match operand.type:
         case Sequence("List" | "Queue", element=type_) | PerRobot(type_):
             pass
         case MapOf(key, value):
-            index = fitting(index, key, "the key", c)
+            index = converted(index, key, "the key", c)
             if index.type is POISON:
                 return c.poison(node.span, operand, index)
             return ir.Builtin("map_at", (operand, index), value, node.span)
@@ -215,7 +221,7 @@ def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir
             type_ = STRING
         case other:
             return _no_index(operand, other, node, c)
-    index = fitting(index, INT, "an index", c)
+    index = converted(index, INT, "an index", c)
     return index if index.type is POISON else ir.At(operand, index, False, type_, node.span)
 
 
@@ -228,7 +234,7 @@ def _item(operand: ir.Expr, items: tuple[Type, ...], node: ast.Index, c: Context
             return c.error("K030", message, node.span)
         case _:
             help = f"write [0] to [{len(items) - 1}]"
-            return c.error("K017", "the index of a tuple is a number that is written out", node.index.span, help)
+            return c.error("K017", "the index of a tuple must be a literal number", node.index.span, help)
 
 
 def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.Expr:
@@ -236,24 +242,24 @@ def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.
     named = isinstance(operand, (ir.LocalRead, ir.SharedRead, ir.ParamRead, ir.PortRead))
     if named and not isinstance(type_, Sequence):
         return c.error("K017", f"{text} is one value and takes no index", node.span, _part_help(text, type_))
-    return c.error("K017", f"{a(type_)} has no index", node.span, _part_help(text, type_))
+    return c.error("K017", f"{with_article(type_)} has no index", node.span, _part_help(text, type_))
 
 
 def _part_help(text: str, type_: Type) -> str:
     if type_ is POINT:
         return f"a Point's coordinates are {text}.x, {text}.y and {text}.z"
-    return "a Set has no order; 'for x in s' goes through it" if isinstance(type_, Sequence) else ""
+    return "a Set has no order; 'for x in s' iterates over it" if isinstance(type_, Sequence) else ""
 
 
 def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.Expr:
     operand = check_expr(node.value, c)
-    ends = [fitting(check_expr(e, c), INT, "an index", c) if e is not None else None for e in (node.start, node.stop)]
+    ends = [converted(check_expr(e, c), INT, "an index", c) if e is not None else None for e in (node.start, node.stop)]
     parts = [operand, *(end for end in ends if end is not None)]
     if is_poisoned(parts):
         return c.poison(node.span, *parts)
     type_ = operand.type
     if not ((isinstance(type_, Sequence) and type_.name == "List") or type_ == STRING):
-        return c.error("K017", f"{a(type_)} has no slices", node.span, "", (), *parts)
+        return c.error("K017", f"{with_article(type_)} has no slices", node.span, "", (), *parts)
     return ir.Slice(operand, ends[0], ends[1], ends == [None, None], type_, node.span)
 
 
@@ -261,33 +267,38 @@ def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.E
 
 
 def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c: Context) -> ir.Expr:
-    """`item in values`, `item not in values`."""
+    """Check `item in values` and `item not in values`."""
     if is_display(second) and not is_display(first):
         item = check_expr(first, c)
         known = item.type is FLOAT or not second.items
         values = check_expr(second, c, list_of(item.type) if known else None)
     else:
         values = check_expr(second, c)
-        item = check_expr(first, c, _held(values.type))
+        item = check_expr(first, c, _element_type(values.type))
     if item.type is POISON or values.type is POISON:
         return c.poison(span, item, values)
-    held = _held(values.type)
+    held = _element_type(values.type)
     if held is None:
-        help = "a distance says whether two points are near" if values.type is POINT else ""
-        return c.error("K012", f"'{op}' does not apply to {a(values.type)}", values.span, help, (), item, values)
+        help = "compare the distance of the points" if values.type is POINT else ""
+        return c.error(
+            "K012", f"'{op}' does not apply to {with_article(values.type)}", values.span, help, (), item, values
+        )
     if values.type == STRING or held is POINT or isinstance(values.type, MapOf):
-        what = f"what is looked for in {a(values.type)}"
+        what = f"the value to look for in {with_article(values.type)}"
     else:
         what = f"an element of this {values.type.name if isinstance(values.type, Sequence) else 'variable'}"
-    item = argument(item, held, what, c)
+    item = converted_argument(item, held, what, c)
     if item.type is POISON:
         return item
     found = ir.Contains(item, values, BOOL, span)
     return found if op == "in" else ir.Unary("not", found, BOOL, span)
 
 
-def _held(type_: Type) -> Type | None:
-    """Of what type that is which can be in a value."""
+def _element_type(type_: Type) -> Type | None:
+    """Return the type of the elements of a value: `T` if `x in value` takes an x of type T.
+
+    Returns None if it has none.
+    """
     match type_:
         case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
             return held
@@ -295,22 +306,22 @@ def _held(type_: Type) -> Type | None:
             return POINT if type_ is RECT or type_ is BALL else type_ if type_ == STRING else None
 
 
-# What loops and quantifiers run over
+# Domains of loops and quantifiers
 
 
 def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
-    """`range(...)`, or a value with elements."""
+    """Check the domain of a loop or quantifier: `range(...)`, or a value with elements."""
     if isinstance(node, ast.Call) and isinstance(node.function, ast.Name) and node.function.name == "range":
         return _range(node, c)
     values = check_expr(node, c)
     if values.type is POISON or isinstance(values.type, (Sequence, MapOf, PerRobot)):
         return values
     help = f"write range({c.text(node.span)})" if values.type is INT else ""
-    return c.error("K012", f"{a(values.type)} has no elements to run over", node.span, help, (), values)
+    return c.error("K012", f"{with_article(values.type)} has no elements to iterate over", node.span, help, (), values)
 
 
 def elements(values: ir.Expr) -> Type:
-    """The type of what a loop over them takes one by one."""
+    """Return the type of the elements over which a loop iterates."""
     match values.type:
         case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
             return held
@@ -322,12 +333,12 @@ def _range(node: ast.Call, c: Context) -> ir.Expr:
     if not 1 <= len(node.args) <= 3 or any(isinstance(arg, ast.Keyword) for arg in node.args):
         help = "range(stop), range(start, stop) or range(start, stop, step)"
         return c.error("K014", f"range takes 1 to 3 arguments, not {len(node.args)}", node.span, help)
-    args = [fitting(check_expr(arg, c), INT, "an argument of range", c) for arg in node.args]  # type: ignore[arg-type]
+    args = [converted(check_expr(arg, c), INT, "an argument of range", c) for arg in node.args]  # type: ignore[arg-type]
     if is_poisoned(args):
         return c.poison(node.span, *args)
     step = _step(args[2]) if len(args) == 3 else 1
     if not step:
-        return c.error("K012", "the step of a range is a number that is written out, and not 0", args[2].span)
+        return c.error("K012", "the step of a range must be a literal number other than 0", args[2].span)
     start = args[0] if len(args) > 1 else ir.Const(0, INT, node.span)
     return ir.Range(start, args[1] if len(args) > 1 else args[0], step, _INTS, node.span)
 
@@ -343,15 +354,15 @@ def _step(node: ir.Expr) -> int:
 
 
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Several names arrive nested, each over the same domain."""
+    """Check a quantifier. One with several names becomes nested quantifiers over the same domain."""
     if c.place not in ("property", "contract", "assume") and c.entry is None:
-        help = "a loop goes through them: 'for i in ID:'"
-        message = f"'{node.kind}' has a place in properties, contracts and loop invariants only"
+        help = "use a loop: 'for i in ID:'"
+        message = f"'{node.kind}' is only allowed in properties, contracts and loop invariants"
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
     c.scopes.append({})
     temps = [declare(name.name, elements(domain), name.span, c) for name in node.names]
-    body = condition(node.body, c, f"what follows '{node.kind}'")
+    body = condition(node.body, c, f"the formula of '{node.kind}'")
     c.scopes.pop()
     wrong = domain.type is POISON or body.type is POISON or None in temps
     for temp in reversed(temps):
@@ -361,12 +372,15 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
 
 
 def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
-    """A new name for the innermost block; None after reporting that it is taken (its uses are then of the new type).
-    In a function it may be that of a variable or module, which functions cannot read anyway."""
+    """Declare a temp in the innermost block; None after reporting that its name is taken.
+
+    Even then uses of the name have the new type, unless it is another temp's name. In a function a temp may have the
+    name of a variable or module, because functions cannot read those.
+    """
     temp = Temp(c.mint(name), type_, span)
     earlier, entity = c.temp(name), c.entities.get(name)
     unseen = bool(c.function) and isinstance(entity, (Local, Shared, Module))
-    if earlier is None and (unseen or name not in c.entities) and not reserved(name):
+    if earlier is None and (unseen or name not in c.entities) and not is_reserved(name):
         c.scopes[-1][name] = temp
         return temp
     first = earlier.span if earlier is not None else entity.span if entity is not None else None

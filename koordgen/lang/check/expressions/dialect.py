@@ -1,5 +1,8 @@
-"""Words and marks of the 2020 dialect among expressions and statements: each is noted, with the edits that modernise
-it, and means what its modern form means. A name of the program's own is no word of the dialect."""
+"""Spellings of the 2020 dialect in expressions and statements.
+
+Each is reported with the edits that modernise it, and has the meaning of its modern form. A name that the program
+declares is not a word of the dialect.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ FUNCTIONS = {"pos3d": "Point", "midpoint": "(p + q) / 2"}
 
 
 def old_name(node: ast.Name, c: Context) -> ast.Expr:
-    """The modern form of one of VALUES."""
+    """Return the modern form of a name in `VALUES`."""
     new = VALUES[node.name]
-    c.modern(node.name, new, node.span)
+    c.report_old_spelling(node.name, new, node.span)
     return ast.Name(new, node.span) if new == "N_SYS" else ast.Literal(new == "True", node.span)
 
 
@@ -24,27 +27,30 @@ def modern_not(node: ast.Unary, c: Context) -> None:
     span = node.span
     mark = Span(span.line, span.column, span.line, span.column + 1)
     spaced = c.source.line(span.line)[span.column : span.column + 1] == " "
-    c.modern("!", "not", mark, (Edit(mark, "not" if spaced else "not "),))
+    c.report_old_spelling("!", "not", mark, (Edit(mark, "not" if spaced else "not "),))
 
 
 def modern_logic(node: ast.Logic, c: Context) -> str:
-    """The modern form of the operator."""
+    """Return the modern form of an operator: `and` for `&&`, `or` for `||`."""
     if node.op == "and" or node.op == "or":
         return node.op
     new = "and" if node.op == "&&" else "or"
     line, span = c.source.line(node.op_span.line), node.op_span
     before = "" if line[span.column - 2 : span.column - 1] == " " else " "
     after = "" if line[span.end_column - 1 : span.end_column] in ("", " ") else " "
-    c.modern(node.op, new, span, (Edit(span, f"{before}{new}{after}"),))
+    c.report_old_spelling(node.op, new, span, (Edit(span, f"{before}{new}{after}"),))
     return new
 
 
 def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
-    """The modern form of a call of one of FUNCTIONS; None where it is not called as the dialect does."""
+    """Return the modern form of a call of a function in `FUNCTIONS`.
+
+    Returns None if its arguments are not the dialect's.
+    """
     if any(isinstance(arg, ast.Keyword) for arg in node.args):
         return None
     if name.name == "pos3d":
-        c.modern("pos3d", "Point", name.span)
+        c.report_old_spelling("pos3d", "Point", name.span)
         return ast.Call(ast.Name("Point", name.span), node.args, node.span)
     if len(node.args) != 2:
         return None
@@ -55,19 +61,19 @@ def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
         Edit(_between(first.span, second.span), f"{_close(first)} + {_open(second)}"),
         Edit(_between(second.span, _end(node.span)), f"{_close(second)}) / 2)"),
     )
-    c.modern("midpoint(p, q)", "(p + q) / 2", name.span, edits)
+    c.report_old_spelling("midpoint(p, q)", "(p + q) / 2", name.span, edits)
     total = ast.Binary("+", first, second, node.span)
     return ast.Binary("/", total, ast.Literal(2, node.span), node.span)
 
 
 def old_for(node: tree.CountedFor, c: Context) -> tree.For:
-    """`for i = a, b:` as `for i in range(a, b + 1):`."""
+    """Return the modern form of `for i = a, b:`, which is `for i in range(a, b + 1):`."""
     edits = [Edit(_between(node.name.span, node.first.span), " in range(")]
-    if _loose(node.last):
+    if _binds_loosely(node.last):
         edits.append(Edit(Span(*_start(node.last.span), *_start(node.last.span)), "("))
     edits.append(Edit(_end(node.last.span), f"{_close(node.last)} + 1)"))
     span = node.span
-    c.modern("for i = a, b", "for i in range(a, b + 1)", span, tuple(edits))
+    c.report_old_spelling("for i = a, b", "for i in range(a, b + 1)", span, tuple(edits))
     last = node.last
     stop = ast.Binary("+", last, ast.Literal(1, last.span), last.span)
     values = ast.Call(ast.Name("range", node.first.span), (node.first, stop), node.first.span)
@@ -79,7 +85,7 @@ def _start(span: Span) -> tuple[int, int]:
 
 
 def _end(span: Span) -> Span:
-    """The empty place behind a span."""
+    """Return the empty span after a span."""
     return Span(span.end_line, span.end_column, span.end_line, span.end_column)
 
 
@@ -87,16 +93,16 @@ def _between(first: Span, second: Span) -> Span:
     return Span(first.end_line, first.end_column, *_start(second))
 
 
-def _loose(node: ast.Expr) -> bool:
-    """Whether an expression binds looser than `+`, and stands without parentheses or may do so."""
+def _binds_loosely(node: ast.Expr) -> bool:
+    """Return whether an expression binds looser than `+`, so that it may need parentheses beside a `+`."""
     return isinstance(node, (ast.Conditional, ast.Logic, ast.Compare, ast.Quantified)) or (
         isinstance(node, (ast.Unary, ast.Binary)) and node.op in ("not", "!", "<<")
     )
 
 
 def _open(node: ast.Expr) -> str:
-    return "(" if _loose(node) else ""
+    return "(" if _binds_loosely(node) else ""
 
 
 def _close(node: ast.Expr) -> str:
-    return ")" if _loose(node) else ""
+    return ")" if _binds_loosely(node) else ""

@@ -1,21 +1,20 @@
-"""Expressions: the type of every node, by the class of its syntax tree."""
+"""Expressions: operators, literals, conditionals, and the table of the checkers of all node classes."""
 
 from __future__ import annotations
 
 from koordgen.lang.check.base import (
     CHECKERS,
     NUMBERS,
-    a,
-    as_bool,
     check_expr,
     condition,
     default,
-    fitting,
     has_call,
+    help_for_bool,
     is_display,
-    per_robot,
-    same,
+    report_missing_index,
+    same_type,
     widened,
+    with_article,
 )
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.expressions.call import check_call
@@ -36,7 +35,7 @@ from koordgen.lang.ir.types import BOOL, FLOAT, INT, POINT, POISON, STRING, PerR
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as ast
 
-__all__ = ["arithmetic", "check_expr", "condition", "default", "fitting", "widened"]
+__all__ = ["arithmetic", "check_expr", "condition", "default", "widened"]
 
 _LITERALS: dict[type, Type] = {int: INT, float: FLOAT, bool: BOOL, str: STRING}
 
@@ -61,15 +60,15 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
     if type_ is BOOL if op == "not" else type_ is INT or type_ is FLOAT or type_ is POINT:
         return ir.Unary(op, operand, type_, node.span)
     if isinstance(type_, PerRobot):
-        return per_robot(operand, c)
-    help = as_bool(operand, c, "==") if op == "not" else ""
-    return c.error("K012", f"'{op}' does not apply to {a(type_)}", node.span, help, (), operand)
+        return report_missing_index(operand, c)
+    help = help_for_bool(operand, c, "==") if op == "not" else ""
+    return c.error("K012", f"'{op}' does not apply to {with_article(type_)}", node.span, help, (), operand)
 
 
 def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
     if node.op == "<<":
-        help = "it is a statement of its own: 'Log.stdout << a << b'"
-        return c.error("K056", "'<<' sends to a stream and has no value", node.span, help)
+        help = "write it as a statement: 'Log.stdout << a << b'"
+        return c.error("K056", "'<<' writes to a stream and has no value", node.span, help)
     if node.op == "+" and is_display(node.left):
         if is_display(node.right):
             left = check_expr(node.left, c, wanted)
@@ -82,7 +81,10 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
-    """Return `left op right`, typed. That a divisor differs from zero is known here only of a number."""
+    """Return `left op right`, typed.
+
+    Only literal divisors are marked as non-zero here; the analysis finds others.
+    """
     first, second = left.type, right.type
     if first is POISON or second is POISON:
         return c.poison(span, left, right)
@@ -112,29 +114,29 @@ def _differs_from_zero(number: ir.Expr) -> bool:
 def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
     for side in (left, right):
         if isinstance(side.type, PerRobot):
-            return per_robot(side, c)
+            return report_missing_index(side, c)
     help = ""
     if op == "+" and STRING in (left.type, right.type):
-        help = _joined(left, right, c)
+        help = _help_for_joined(left, right, c)
     elif op == "%" and left.type == STRING:
-        help = "texts are joined: 'n is ' + str(n)"
+        help = "join strings: 'n is ' + str(n)"
     elif BOOL in (left.type, right.type):
         held = left if left.type is BOOL else right
         help = "bools are joined with 'and' and 'or'"
-        help = help if left.type == right.type else f"a number of it is '(1 if {c.text(held.span)} else 0)'"
+        help = help if left.type == right.type else f"to make a number of it, write '(1 if {c.text(held.span)} else 0)'"
     elif op == "*" and left.type is POINT and right.type is POINT:
         help = "multiply their coordinates: p.x * q.x + p.y * q.y"
     elif op in ("+", "-") and POINT in (left.type, right.type):
-        help = "to a Point a Point is added: p + Point(x, y, z)"
-    elif op == "+" and isinstance(left.type, Sequence) and same(left.type.element, right.type):
+        help = "add a Point to a Point: p + Point(x, y, z)"
+    elif op == "+" and isinstance(left.type, Sequence) and same_type(left.type.element, right.type):
         verb = {"List": "append", "Queue": "push", "Set": "add"}[left.type.name]
         help = f"'xs.{verb}(x)' adds an element" + ("; xs + [x] is a longer list" if verb == "append" else "")
-    message = f"'{op}' does not apply to {a(left.type)} and {a(right.type)}"
+    message = f"'{op}' does not apply to {with_article(left.type)} and {with_article(right.type)}"
     return c.error("K012", message, span, help, (), left, right)
 
 
-def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
-    """The help for a text and a value that is none, joined with '+'."""
+def _help_for_joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+    """Return the help for a string joined by `+` with a value that is not a string."""
     value = right if left.type == STRING else left
     if value.type in (*NUMBERS, BOOL, POINT):
         text = c.text(value.span)
@@ -143,7 +145,10 @@ def _joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
 
 
 def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
-    """A chain is the `and` of its pairs: an expression evaluated twice gives the same twice, calls of ports apart."""
+    """Check a comparison. A chain is the `and` of its pairs, so its inner operands are evaluated twice.
+
+    This gives the same value twice, except for calls of ports, which a chain cannot have there.
+    """
     if len(node.rest) == 1:
         ((op, right_node),) = node.rest
         if op == "in" or op == "not in":
@@ -154,7 +159,7 @@ def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def _sides(first: ast.Expr, second: ast.Expr, c: Context) -> tuple[ir.Expr, ir.Expr]:
-    """Both sides; a display learns its type from the other side."""
+    """Check both sides of a comparison; a display gets its type from the other side."""
     if is_display(first) and not is_display(second):
         right = check_expr(second, c)
         return check_expr(first, c, right.type), right
@@ -170,13 +175,13 @@ def _chain(node: ast.Compare, c: Context) -> ir.Expr:
     for op, right_node in node.rest:
         if op in ("in", "not in"):
             help = "join the two with 'and'"
-            return c.error("K012", f"'{op}' has no place in a chain of comparisons", node.span, help)
+            return c.error("K012", f"'{op}' is not allowed in a chain of comparisons", node.span, help)
         if left is None:
             left, right = _sides(before, right_node, c)
         else:
             if has_call(left, (ir.PortCall,)):
-                help = "keep its answer in a variable first"
-                return c.error("K027", "a call of a port has no place within a chain", left.span, help)
+                help = "save its answer in a variable first"
+                return c.error("K027", "a call of a port is not allowed within a chain", left.span, help)
             right = check_expr(right_node, c, left.type)
         pair = _pair(op, left, right, node.span, c)
         poisoned = poisoned or pair.type is POISON
@@ -196,23 +201,31 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
         return ir.Compare(op, left, right, BOOL, span)
     for side in (left, right):
         if isinstance(side.type, PerRobot):
-            return per_robot(side, c)
-    if not same(first, second):
-        message = f"{a(first)} and {a(second)} cannot be compared"
-        return c.error("K012", message, span, _alike(left, right, c), (), left, right)
+            return report_missing_index(side, c)
+    if not same_type(first, second):
+        message = f"{with_article(first)} and {with_article(second)} cannot be compared"
+        return c.error("K012", message, span, _help_for_compared(left, right, c), (), left, right)
     if op not in ("==", "!=") and first != STRING:
         help = "compare their coordinates, or distances" if first is POINT else "only '==' and '!=' compare these"
-        return c.error("K012", f"'{op}' does not apply to {a(first)} and {a(second)}", span, help, (), left, right)
+        return c.error(
+            "K012",
+            f"'{op}' does not apply to {with_article(first)} and {with_article(second)}",
+            span,
+            help,
+            (),
+            left,
+            right,
+        )
     return ir.Compare(op, left, right, BOOL, span)
 
 
-def _alike(left: ir.Expr, right: ir.Expr, c: Context) -> str:
-    """The help for two values that cannot be compared."""
+def _help_for_compared(left: ir.Expr, right: ir.Expr, c: Context) -> str:
+    """Return the help for two values that cannot be compared."""
     for value, other in ((left, right), (right, left)):
         if other.type == STRING and value.type in NUMBERS:
             return f"write str({c.text(value.span)})"
         if other.type is BOOL and value.type in NUMBERS and not isinstance(value, ir.Const):
-            return as_bool(value, c).replace("compare it", "a bool of it is")
+            return help_for_bool(value, c).replace("compare it", "make a bool of it")
     return ""
 
 
@@ -225,8 +238,8 @@ def _logic(node: ast.Logic, c: Context, wanted: Type | None) -> ir.Expr:
         return c.poison(node.span, value)
     for side in (left, right):
         if side.type is not BOOL:
-            message = f"'{op}' joins bools, not {a(side.type)}"
-            return c.error("K013", message, side.span, as_bool(side, c), (), value)
+            message = f"'{op}' joins bools, not {with_article(side.type)}"
+            return c.error("K013", message, side.span, help_for_bool(side, c), (), value)
     return value
 
 
@@ -243,9 +256,9 @@ def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.E
     if held.type is POISON or then.type is POISON or orelse.type is POISON:
         return c.poison(node.span, value)
     if isinstance(then.type, PerRobot):
-        return per_robot(then, c)
-    if not same(then.type, orelse.type):
-        message = f"this is {a(then.type)} or {a(orelse.type)}; both must be of one type"
+        return report_missing_index(then, c)
+    if not same_type(then.type, orelse.type):
+        message = f"this is {with_article(then.type)} or {with_article(orelse.type)}; both must be of one type"
         return c.error("K012", message, node.span, "", (), value)
     return value
 

@@ -1,11 +1,11 @@
-"""Names, ports and fields: what they mean, and whether they may be read at the place where they stand."""
+"""Names, ports and fields: their resolution, and whether the current section may read them."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
 
-from koordgen.lang.check.base import a, check_expr
+from koordgen.lang.check.base import check_expr, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
 from koordgen.lang.check.expressions.dialect import VALUES, old_name
 from koordgen.lang.diagnostics import Label
@@ -48,38 +48,38 @@ from koordgen.lang.syntax.decl import Effect, Event, Init, Priority, Section
 from koordgen.lang.syntax.decl import Function as Fun
 
 _MEANT = {"me": "pid"}
-_NOTHING = "Koord has no empty value: let a bool, or a value that means nothing else, say it"
+_NOTHING = "Koord has no empty value: use a bool, or a special value such as -1"
 FOREIGN = {
     "None": _NOTHING,
     "null": _NOTHING,
     "nil": _NOTHING,
-    "self": "a variable stands by its own name; this robot's index is pid",
-    "this": "a variable stands by its own name; this robot's index is pid",
-    **dict.fromkeys(("math", "np", "numpy"), "functions and constants stand by their own names: sqrt(x), sin(x), pi"),
+    "self": "write a variable by its name alone; this robot's index is pid",
+    "this": "write a variable by its name alone; this robot's index is pid",
+    **dict.fromkeys(("math", "np", "numpy"), "write functions and constants by their names alone: sqrt(x), sin(x), pi"),
 }
-# Constants of Python's math -> how Koord has it.
+# Constants of Python's math -> Koord.
 _MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
-# Functions of other languages -> how Koord has it.
+# Functions of other languages -> help that says how to write it in Koord.
 NO_FUNCTIONS = {
-    "int": "a float never becomes an int by itself: floor, ceil and round make one",
-    "float": "an int becomes a float by itself",
+    "int": "a float is never converted to an int automatically: use floor, ceil or round",
+    "float": "an int is converted to a float automatically",
     "bool": "compare it: '!= 0'",
-    "print": "a stream shows text: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
+    "print": "write to a stream: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
     "pow": "write a ** b",
-    "enumerate": "count with 'for i in range(len(xs)):'",
-    "zip": "count with 'for i in range(len(xs)):'",
+    "enumerate": "write 'for i in range(len(xs)):'",
+    "zip": "write 'for i in range(len(xs)):'",
     "list": "write [a, b]",
     "set": "write {a, b}",
     "dict": "write {k: v}",
-    "any": "a loop finds one: for x in xs: if x: found = True",
-    "all": "a loop finds one that is not: for x in xs: if not x: good = False",
+    "any": "use a loop: for x in xs: if x: found = True",
+    "all": "use a loop: for x in xs: if not x: good = False",
     "map": "fill a list in a loop: for x in xs: ys.append(...)",
     "filter": "fill a list in a loop: for x in xs: ys.append(...)",
-    "isinstance": "a variable's type is the one it is declared with",
-    "type": "a variable's type is the one it is declared with",
-    "input": "what a robot learns comes in through ports: 'using Module:' with 'sensors:'",
+    "isinstance": "a variable always has its declared type",
+    "type": "a variable always has its declared type",
+    "input": "a robot's inputs come from ports: 'using Module:' with 'sensors:'",
 }
-# What one writes by habit -> (types that have it, what to write; "_" is the object).
+# Type -> method names of other languages -> the type's method.
 HABITS: dict[str, dict[str, str]] = {
     "List": {"push": "append", "add": "append", "push_back": "append", "put": "append", "delete": "remove"},
     "Queue": {"append": "push", "add": "push", "put": "push", "enqueue": "push", "popleft": "pop", "dequeue": "pop",
@@ -96,7 +96,7 @@ FIELDS: dict[str, dict[str, Type]] = {
 }
 _LOOP = "keep it in a variable that is declared before the loop"
 _LENGTHS = ("length", "size", "len", "count", "Length", "Count")
-_INSTEAD_OF_A_ROBOT = {"pid": "name robots: 'forall i in ID:'"}
+_INSTEAD_OF_A_ROBOT = {"pid": "name the robots: 'forall i in ID:'"}
 
 
 def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -113,7 +113,7 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
     entity = c.entities[name]
     match entity:
         case Local(type=type_):
-            return refused("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
+            return reject_robot_state("the variable ", name, span, c) or ir.LocalRead(name, type_, span)
         case None:
             return c.poison(span)
         case Param(type=type_):
@@ -132,45 +132,48 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
 
 def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
     if c.place != "property":
-        wrong = refused("the variable ", name, span, c)
+        wrong = reject_robot_state("the variable ", name, span, c)
         if wrong is not None:
             return wrong
     if c.place == "init":
-        return shared_in_init(name, span, c)
+        return report_shared_in_init(name, span, c)
     if entity.kind == "allread":
         return ir.SlotsRead(name, PerRobot(entity.type), span)
     return ir.SharedRead(name, entity.type, span)
 
 
-def shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
+def report_shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
     help = "other robots may not have run init yet: use a local variable, or do this in an event"
     return c.error("K023", f"init cannot read {name}: it is shared", span, help)
 
 
-def refused(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
-    """Reports that what is one robot's has no meaning here; None where it has. `what` is "the port " or the like."""
+def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
+    """Report that the current section cannot read a robot's state; None if it can.
+
+    `what` is "the port " or similar.
+    """
     match c.place:
         case "init" | "guard" | "effect":
             return None
         case "constant":
             return c.error("K025", f"an initial value cannot depend on {what}{name}", span, "set it in init")
         case "function" | "contract":
-            message = f"a function reads its parameters and params only: {what}{name} is neither"
-            return c.error("K027", message, span, "hand it over as an argument")
+            message = f"a function can only read its parameters and params: {what}{name} is neither"
+            return c.error("K027", message, span, "pass it as an argument")
         case "property":
             help = _INSTEAD_OF_A_ROBOT.get(name, f"write {name}[i], with 'forall i in ID:' before it")
-            return c.error("K054", f"a property does not say whose {name} this is", span, help)
+            return c.error("K054", f"a property must name the robot: it does not say whose {name} this is", span, help)
         case _:
-            message = f"an assumption speaks of its module's ports, params and pid only, not of {what}{name}"
+            message = f"an assumption can only use its module's ports, params and pid, not {what}{name}"
             return c.error("K054", message, span)
 
 
 def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     name, span = node.name, node.span
     if name == "pid":
-        return (refused("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
+        return (reject_robot_state("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
     if name == "N_SYS" or name == "ID":
-        wrong = refused("", name, span, c) if c.place not in ("property", "assume") else None
+        wrong = reject_robot_state("", name, span, c) if c.place not in ("property", "assume") else None
         return wrong or (ir.NSys(INT, span) if name == "N_SYS" else ir.Ids(_IDS, span))
     if name in CONSTANTS:
         return ir.Const(CONSTANTS[name], FLOAT, span)
@@ -179,45 +182,45 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     if name in NAMED or name in GENERIC:
         return c.error("K017", f"{name} is a type, not a value", span)
     if name == "range":
-        return c.error("K017", "range is no value", span, "it stands in a loop: 'for i in range(n):'")
+        return c.error("K017", "range is not a value", span, "use it in a loop: 'for i in range(n):'")
     if name in VALUES:
         return check_expr(old_name(node, c), c)
-    return undefined(name, span, c)
+    return report_undefined(name, span, c)
 
 
-def undefined(name: str, span: Span, c: Context) -> ir.Expr:
-    """Reports a name that nothing has, unless it may stand in what could not be read."""
+def report_undefined(name: str, span: Span, c: Context) -> ir.Expr:
+    """Report an undefined name, unless text that could not be parsed may define it."""
     if name in c.broken or name in c.owners:
         return c.poison(span)
     if c.place == "assume":
-        from koordgen.lang.check.property import goal
+        from koordgen.lang.check.property import bind_goal
 
-        temp = goal(name, span, c)
+        temp = bind_goal(name, span, c)
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
     if c.place == "property":
-        from koordgen.lang.check.property import any_value
+        from koordgen.lang.check.property import bind_any_value
 
-        temp = any_value(name, span, c)
+        temp = bind_any_value(name, span, c)
         if temp is not None:
             return ir.TempRead(temp.unique, temp.type, span)
     if is_event(name, c):
-        help = "a robot chooses its events by their guards; a variable can tell that one has run"
+        help = "a robot chooses its events by their guards; use a variable to record that an event has run"
         return c.error("K017", f"{name} is an event, not a value", span, help)
-    if ended(name, span, c):
+    if report_ended(name, span, c):
         return c.poison(span)
     if name in ("raise", "throw"):
         from koordgen.lang.syntax.habits import FOREIGN as WORDS
 
         return c.error("K010", f"Koord has no '{name}'", span, WORDS[name])
-    help = FOREIGN.get(name) or c.nearest(name, c.visible(), _MEANT)
+    help = FOREIGN.get(name) or c.suggestion(name, c.visible_names(), _MEANT)
     if not help and c.place == "property":
         help = f"if it is a robot, name it: 'forall {name} in ID:'"
     return c.error("K010", f"{name} is not defined", span, help)
 
 
-def not_called(name: str, span: Span, c: Context) -> None:
-    """Report a call of a value, which may have, and hide, the name of a builtin function."""
+def report_not_called(name: str, span: Span, c: Context) -> None:
+    """Report a call of a value. The value's name may hide a builtin function; the message says so."""
     owner = c.temp(name) or c.entities.get(name)
     if name not in FUNCTIONS or owner is None:
         c.error("K017", f"{name} is not a function", span)
@@ -231,8 +234,11 @@ def is_event(name: str, c: Context) -> bool:
     return f"event {name}" in c.owners
 
 
-def ended(name: str, span: Span, c: Context) -> bool:
-    """Reports a variable of a block or a loop that is used behind it; false where a name is none."""
+def report_ended(name: str, span: Span, c: Context) -> bool:
+    """Report a use of a variable after the block or loop that declares it.
+
+    Returns False if the name is no such variable.
+    """
     if name not in c.minted or c.program is None:
         return False
     here = span.line, span.column
@@ -248,8 +254,8 @@ def ended(name: str, span: Span, c: Context) -> bool:
                 place, help = statement.span, _LOOP
             case _:
                 continue
-        labels = (Label(place, "declared here, and gone with the block"),)
-        c.error("K010", f"{name} is not defined here: it ended with its block", span, help, labels)
+        labels = (Label(place, "declared here, in a block that has ended"),)
+        c.error("K010", f"{name} is not defined here: its block has ended", span, help, labels)
         return True
     return False
 
@@ -259,7 +265,7 @@ def _start(node: Section | tree.Stmt) -> tuple[int, int]:
 
 
 def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
-    """The blocks of a section or a statement."""
+    """Return the blocks of a section or a statement."""
     match node:
         case Event(clauses=clauses):
             return tuple([clause.block for clause in clauses if isinstance(clause, Effect)])
@@ -276,7 +282,7 @@ def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
 
 
 def _backwards(node: Section | tree.Stmt, here: tuple[int, int]) -> Iterator[tree.Stmt]:
-    """The statements within that stand before a place, the last one first."""
+    """Yield the statements in a node that begin before a position, the last one first."""
     for block in reversed(_inner(node)):
         for place in range(bisect_left(block, here, key=_start) - 1, -1, -1):
             yield from _backwards(block[place], here)
@@ -288,7 +294,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
     if module is not None:
         port = declared_port(module, node, c)
         return c.poison(node.span) if port is None else _read_port(module.name, port, node.span, c)
-    if type(node.value) is ast.Name and unknown(node.value.name, c) and node.name.lower() in _MATHS:
+    if type(node.value) is ast.Name and is_unknown(node.value.name, c) and node.name.lower() in _MATHS:
         name = node.value.name  # math.pi
         return c.error("K010", f"{name} is not defined", node.value.span, f"write {_MATHS[node.name.lower()]}")
     operand = check_expr(node.value, c)
@@ -296,12 +302,12 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
         return c.poison(node.span, operand)
     field = field_of(operand.type, node.name)
     if field is None:
-        return no_field(operand, node, c)
+        return report_no_field(operand, node, c)
     return ir.Field(operand, node.name, field, node.span)
 
 
 def module_named(node: ast.Expr, c: Context) -> Module | None:
-    """The module that an expression names, if it does."""
+    """Return the module that an expression names, or None."""
     if type(node) is not ast.Name:
         return None
     entity = c.entities.get(node.name)
@@ -316,16 +322,16 @@ def _port_of(module: Node | None, name: str) -> Port | None:
 
 
 def assumed_port(name: str, c: Context) -> Module | None:
-    """The module of which an assumption speaks, if it has a port of that name."""
+    """Return the module of the current assumption if it has a port of that name, or None."""
     module = c.entities.get(c.module)
     return module if isinstance(module, Module) and _port_of(module, name) is not None else None
 
 
 def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | None:
-    """The port `module.name`; None after reporting that the program does not declare it."""
+    """Return the port `module.name`; None after reporting that the program does not declare it."""
     port = _port_of(module, node.name)
     if port is None and node.name not in c.broken:
-        help = c.nearest(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
+        help = c.suggestion(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
         c.error("K018", f"the port {module.name}.{node.name} is not declared", node.name_span, help)
     return port
 
@@ -338,17 +344,17 @@ def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
         return c.error("K056", f"{name} is a stream and cannot be read", span, f"write {name} << ...")
     if c.place == "assume" and module == c.module:
         return ir.PortRead(module, port.name, False, port.type, span)
-    return refused("the port ", name, span, c) or ir.PortRead(module, port.name, False, port.type, span)
+    return reject_robot_state("the port ", name, span, c) or ir.PortRead(module, port.name, False, port.type, span)
 
 
 def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir.Expr:
     if c.place != "assume":
-        help = "primed is what a port may be in the next delta: 'assume position' in Rect(position, target)'"
-        return c.error("K054", "a prime has a meaning under 'assume' only", node.span, help)
+        help = "a prime means the port's value during the next delta: 'assume position' in Rect(position, target)'"
+        return c.error("K054", "a prime can only be used under 'assume'", node.span, help)
     value = check_expr(node.value, c)
     if isinstance(value, ir.PortRead) and not value.primed:
         return replace(value, primed=True, span=node.span)
-    return value if value.type is POISON else c.error("K054", "a prime follows the name of a port", node.span)
+    return value if value.type is POISON else c.error("K054", "a prime must follow the name of a port", node.span)
 
 
 def fields_of(type_: Type) -> dict[str, Type]:
@@ -361,18 +367,18 @@ def field_of(type_: Type, name: str) -> Type | None:
     return fields_of(type_).get(name)
 
 
-def word_of(type_: Type) -> str:
-    """The word by which the tables of methods know a type."""
+def type_word(type_: Type) -> str:
+    """Return the name of a type in the tables of methods."""
     return type_.name if isinstance(type_, Sequence) else "Map" if isinstance(type_, MapOf) else str(type_)
 
 
 def methods_of(type_: Type) -> list[str]:
-    word = word_of(type_)
+    word = type_word(type_)
     return [name for of, name in (*METHODS, *UPDATES, ("List", "pop"), ("Queue", "pop")) if of == word]
 
 
-def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
-    """Report that a value has no such field, with what may have been meant."""
+def report_no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
+    """Report that a value has no such field, and suggest what to write."""
     type_, name, text = operand.type, node.name, c.text(node.value.span)
     fields = fields_of(type_)
     if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or str(type_) == "string"):
@@ -380,12 +386,12 @@ def no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
     elif name in methods_of(type_):
         help = f"it is a method: {text}.{name}(...)"
     elif isinstance(type_, PerRobot):
-        help = f"{text}[i] is robot i's"
+        help = f"{text}[i] is the value of robot i"
     elif isinstance(type_, MapOf):
         help = f"the value of a key is {text}[key]"
     else:
-        help = c.nearest(name, fields) or (f"{a(type_)} has {_listed(fields)}" if fields else "")
-    return c.error("K015", f"{a(type_)} has no field {name}", node.name_span, help, (), operand)
+        help = c.suggestion(name, fields) or (f"{with_article(type_)} has {_listed(fields)}" if fields else "")
+    return c.error("K015", f"{with_article(type_)} has no field {name}", node.name_span, help, (), operand)
 
 
 def _listed(fields: dict[str, Type]) -> str:
@@ -393,11 +399,11 @@ def _listed(fields: dict[str, Type]) -> str:
     return f"{', '.join(others)} and {last}" if others else last
 
 
-def unknown(name: str, c: Context) -> bool:
-    """Return whether nothing has a name, as far as the text could be read."""
+def is_unknown(name: str, c: Context) -> bool:
+    """Return whether a name is undefined, also in text that could not be parsed."""
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
 def names_a_value(name: str, c: Context) -> bool:
-    """Whether a name is taken for something that is no builtin function."""
+    """Return whether a name denotes anything but a builtin function."""
     return c.temp(name) is not None or name in c.entities or (name in PREDEFINED and name not in FUNCTIONS)

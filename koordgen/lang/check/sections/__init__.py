@@ -1,6 +1,6 @@
 """Checks of a program's sections.
 
-Owns: declarations, events, functions, modules, params, the order in which sections are checked.
-Offers: `program.check`: the only way in.
+Owns: declarations, events, functions, modules, params; the order in which sections are checked.
+Offers: `program.resolve`, the only entry point.
 Must not import: any room outside of `lang`.
 """

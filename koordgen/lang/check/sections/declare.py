@@ -1,14 +1,17 @@
-"""Records, params and variables: their types first, so that they may stand in any order, then their first values."""
+"""Records, params and variables.
+
+Their types come before their initial values, so they may stand in any order.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.lang.check.base import check_expr, default, fitting
+from koordgen.lang.check.base import check_expr, converted, default
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.names import enter, owns, unique
-from koordgen.lang.check.types import bounded, dialect_element, per_robot, resolve
+from koordgen.lang.check.names import enter, is_owner, unique
+from koordgen.lang.check.types import dialect_element, is_fleet_size, resolve, with_capacities
 from koordgen.lang.diagnostics import Edit
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.capacity import excess
@@ -24,7 +27,7 @@ Kind = Literal["allread", "allwrite", "local"]
 
 def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.ExternType, ...]:
     for node in sections:
-        if owns(node.name, node, c):
+        if is_owner(node.name, node, c):
             enter(node.name, node, decl.ExternType(node.name, node.span), c)
             c.types[node.name] = ExternType(node.name) if c.entities[node.name] is not None else None
     return tuple([decl.ExternType(node.name, node.span) for node in sections])
@@ -35,23 +38,25 @@ Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
 
 
 def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
-    """Makes the records' types known. The records, each behind those that its fields hold; those without a type are
-    wrong."""
-    from koordgen.lang.check.graph import ordered
+    """Define the types of records.
+
+    Returns the records, each after those in its fields; wrong ones have no type.
+    """
+    from koordgen.lang.check.graph import topological_order
 
     for node in sections:
         c.types[node.name] = None
-    owned = {node.name: node for node in sections if owns(node.name, node, c)}
-    order, cycles = ordered({name: _held(node) for name, node in owned.items()})
+    owned = {node.name: node for node in sections if is_owner(node.name, node, c)}
+    order, cycles = topological_order({name: _field_type_names(node) for name, node in owned.items()})
     for cycle in cycles:
         way = f" (it holds {', which holds '.join([*cycle[1:], cycle[0]])})" if len(cycle) > 1 else ""
-        help = "a record holds values, not references; an index into a list can stand for one"
+        help = "a record holds values, not references; use an index into a list instead"
         c.error("K055", f"the record {cycle[0]} contains itself{way}", owned[cycle[0]].span, help)
     inside = {name for cycle in cycles for name in cycle}
-    room: dict[str, tuple[int, int]] = {}
+    sizes: dict[str, tuple[int, int]] = {}
     records: Records = []
-    for node in [*(owned[name] for name in order), *(n for n in sections if not owns(n.name, n, c))]:
-        fields, type_ = _record_type(node, room, c)
+    for node in [*(owned[name] for name in order), *(n for n in sections if not is_owner(n.name, n, c))]:
+        fields, type_ = _record_type(node, sizes, c)
         type_ = None if node.name in inside else type_
         records.append((node, fields, type_))
         enter(node.name, node, decl.Record(type_, (), node.span) if type_ else None, c)
@@ -60,30 +65,32 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
     return records
 
 
-_MOST_PARTS, _DEEPEST = 1000, 20  # of one record, those of the records in it included
+_MOST_PARTS, _DEEPEST = 1000, 20  # limits of one record, with the records in it: fields, nesting
 
 
-def _held(node: ast.RecordDef) -> list[str]:
+def _field_type_names(node: ast.RecordDef) -> list[str]:
     return [part.name for field in node.fields for part in nodes(field.type) if isinstance(part, written.NamedType)]
 
 
-def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Context) -> tuple[Fields, RecordType | None]:
+def _record_type(
+    node: ast.RecordDef, sizes: dict[str, tuple[int, int]], c: Context
+) -> tuple[Fields, RecordType | None]:
     fields: Fields = []
     seen: dict[str, Span] = {}
     for field in node.fields:
         if isinstance(field.type, written.BrokenType):
-            fields.append((field, POISON))  # its name is a guess
+            fields.append((field, POISON))  # the parser only guessed its name
             continue
-        type_ = bounded(resolve(field.type, c), field.capacities, False, c)
-        type_ = POISON if _sized(field, "in a record", c) else type_
+        type_ = with_capacities(resolve(field.type, c), field.capacities, False, c)
+        type_ = POISON if _has_size(field, "in a record", c) else type_
         if unique(field.name, f"fields of {node.name}", field.span, seen, c):
             fields.append((field, type_))
-    inner = [room[name] for name in _held(node) if name in room]
+    inner = [sizes[name] for name in _field_type_names(node) if name in sizes]
     parts, depth = len(fields) + sum(p for p, _ in inner), 1 + max((d for _, d in inner), default=0)
-    room[node.name] = parts, depth
+    sizes[node.name] = parts, depth
     if parts > _MOST_PARTS or depth > _DEEPEST:
         much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
-        c.error("K007", f"the record {node.name} holds {much}", node.span, "hold less in one record")
+        c.error("K007", f"the record {node.name} holds {much}", node.span, "split it into several records")
         return fields, None
     if any(type_ is POISON for _, type_ in fields):
         return fields, None
@@ -91,7 +98,7 @@ def _record_type(node: ast.RecordDef, room: dict[str, tuple[int, int]], c: Conte
 
 
 def record_defaults(found: Records, c: Context) -> tuple[decl.Record, ...]:
-    """The records with their fields' first values, in the order given."""
+    """Return the records with the initial values of their fields, in the order of `found`."""
     records = []
     for node, fields, type_ in found:
         defaults = [_initial(field, field.initial, held, c, _NO_PARAM_IN_FIELD) for field, held in fields]
@@ -101,13 +108,13 @@ def record_defaults(found: Records, c: Context) -> tuple[decl.Record, ...]:
     return tuple(records)
 
 
-_NO_PARAM_IN_FIELD = "a field's first value cannot depend on a param"
+_NO_PARAM_IN_FIELD = "a field's initial value cannot depend on a param"
 _NO_PARAM_IN_PARAM = "a param's default cannot depend on another param"
 
 
 def param_types(sections: list[ast.Param], c: Context) -> None:
     for node in sections:
-        type_ = bounded(resolve(node.type, c), node.capacities, True, c)
+        type_ = with_capacities(resolve(node.type, c), node.capacities, True, c)
         blank = c.poison(node.span)
         enter(node.name, node, None if type_ is POISON else decl.Param(node.name, type_, blank, node.span), c)
 
@@ -116,7 +123,7 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
     params = []
     for node in sections:
         entity = c.entities.get(node.name)
-        type_ = entity.type if isinstance(entity, decl.Param) and owns(node.name, node, c) else POISON
+        type_ = entity.type if isinstance(entity, decl.Param) and is_owner(node.name, node, c) else POISON
         value = _initial(node, node.default, type_, c, _NO_PARAM_IN_PARAM)
         param = decl.Param(node.name, type_, value, node.span)
         params.append(param)
@@ -125,17 +132,17 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
     return tuple(params)
 
 
-Typed = list[tuple[ast.Variable, Kind, Type]]
+TypedVariables = list[tuple[ast.Variable, Kind, Type]]
 
 
-def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
-    """Makes the variables known, still without their first values."""
-    typed: Typed = []
+def variable_types(sections: Iterable[ast.Variables], c: Context) -> TypedVariables:
+    """Define the variables, without their initial values."""
+    typed: TypedVariables = []
     for section in sections:
         kind = section.kind
         for node in section.variables:
             if isinstance(node.type, written.BrokenType):
-                continue  # its name is a guess
+                continue  # the parser only guessed its name
             type_ = _variable_type(node, kind, c)
             typed.append((node, kind, type_))
             if type_ is POISON:
@@ -150,22 +157,22 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> Typed:
 def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
     type_ = node.type
     if kind != "allread":
-        if _sized(node, f"under '{kind}:'", c):
+        if _has_size(node, f"under '{kind}:'", c):
             resolve(type_, c)
-            return POISON  # that an index may leave an empty list would be an echo
+            return POISON  # a list type would make indices of it errors, too: an echo of this one
     elif node.size is not None:
-        if not per_robot(node.size, c) and not isinstance(node.size, tree.Broken):
+        if not is_fleet_size(node.size, c) and not isinstance(node.size, tree.Broken):
             _not_per_robot(node, node.size.span, c)
     elif isinstance(type_, written.GenericType) and type_.name == "[]":
         element = dialect_element(type_.args[0], c)
         new = f"{element} {node.name}[N_SYS]"
         place = Span(type_.span.line, type_.span.column, node.span.end_line, node.span.end_column)
         if element is not POISON:
-            c.modern(c.text(place), new, place, (Edit(place, new),))
-        return bounded(element, node.capacities, False, c)
+            c.report_old_spelling(c.text(place), new, place, (Edit(place, new),))
+        return with_capacities(element, node.capacities, False, c)
     else:
         _not_per_robot(node, node.span, c)
-    return bounded(resolve(type_, c), node.capacities, kind == "local", c)
+    return with_capacities(resolve(type_, c), node.capacities, kind == "local", c)
 
 
 def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
@@ -173,15 +180,15 @@ def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
     c.error("K017", message, span, f"write {c.text(node.type.span)} {node.name}[N_SYS]")
 
 
-def _sized(node: ast.Variable, where: str, c: Context) -> bool:
-    """Whether a variable that has no size has one, which is reported."""
+def _has_size(node: ast.Variable, where: str, c: Context) -> bool:
+    """Return whether a variable has a size; report it, because this variable cannot have one."""
     if node.size is not None and not isinstance(node.size, tree.Broken):
         help = f"write List<{c.text(node.type.span)}> {node.name}"
         c.error("K017", f"an array {where} is a list: {node.name} takes no size", node.size.span, help)
     return node.size is not None
 
 
-def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
+def variable_initials(typed: TypedVariables, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
     shared: list[decl.Shared] = []
     locals_: list[decl.Local] = []
     for node, kind, type_ in typed:
@@ -196,7 +203,10 @@ def variable_initials(typed: Typed, c: Context) -> tuple[tuple[decl.Shared, ...]
 def _initial(
     node: ast.Variable | ast.Param, value: tree.Expr | None, type_: Type, c: Context, no_params: str = ""
 ) -> expr.Expr:
-    """A first value: literals, builtins, and params unless a message says why not."""
+    """Check an initial value.
+
+    It may use literals, builtins and params; no params if `no_params` has a message.
+    """
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)
     c.enter("constant")
@@ -204,9 +214,9 @@ def _initial(
         for part in nodes(value):
             if isinstance(part, tree.Name) and isinstance(c.entities.get(part.name), decl.Param):
                 return c.error("K025", no_params, part.span)
-    initial = fitting(check_expr(value, c, type_), type_, node.name, c)
+    initial = converted(check_expr(value, c, type_), type_, node.name, c)
     too_much = excess(initial, type_)
     if too_much:
-        help = "declare more room with 'max'"
-        return c.error("K053", f"the first value of {node.name} has {too_much}", value.span, help, (), initial)
+        help = "declare a larger capacity with 'max'"
+        return c.error("K053", f"the initial value of {node.name} has {too_much}", value.span, help, (), initial)
     return initial

@@ -1,4 +1,4 @@
-"""Events: their two clauses, the `priority:` block in which they stand, and the types in them."""
+"""Events: their clauses `pre:` and `eff:`, and the `priority:` blocks that order them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from koordgen.lang.syntax import decl as ast
 
 
 def in_text_order(sections: Iterable[ast.Section]) -> list[tuple[ast.Event, int | None]]:
-    """Every event of a program, each with the index of its `priority:` block."""
+    """Return all events in the order of the text, each with the index of its `priority:` block, or None."""
     found: list[tuple[ast.Event, int | None]] = []
     blocks = 0
     for section in sections:
@@ -27,7 +27,10 @@ def in_text_order(sections: Iterable[ast.Section]) -> list[tuple[ast.Event, int 
 
 
 def events(written: list[tuple[ast.Event, int | None]], c: Context) -> tuple[decl.Event, ...]:
-    """Return the events that have a guard and an effect, in the order of the text, still without their locks."""
+    """Check the events.
+
+    Return those with a guard and an effect, in the order of the text, without their locks.
+    """
     found: list[decl.Event] = []
     names: dict[str, Span] = {}
     for node, block in written:
@@ -43,7 +46,7 @@ def events(written: list[tuple[ast.Event, int | None]], c: Context) -> tuple[dec
 
 
 def lone_priorities(sections: Iterable[ast.Section], c: Context) -> None:
-    """Warn of each `priority:` block of one event."""
+    """Warn of each `priority:` block that has a single event."""
     for section in sections:
         if isinstance(section, ast.Priority) and len(section.events) == 1:
             only = section.events[0].name

@@ -1,4 +1,4 @@
-"""Functions: signatures first, so that they may call one another in any order; then bodies and contracts."""
+"""Functions: signatures first, so that they may call each other in any order; then bodies, contracts."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 from koordgen.lang.check.base import condition
 from koordgen.lang.check.context import Context, Temp
-from koordgen.lang.check.graph import ordered
-from koordgen.lang.check.names import enter, owns, reserved, unique
+from koordgen.lang.check.graph import topological_order
+from koordgen.lang.check.names import enter, is_owner, is_reserved, unique
 from koordgen.lang.check.statements.stmt import check_block
-from koordgen.lang.check.types import per_robot, resolve
+from koordgen.lang.check.types import is_fleet_size, resolve
 from koordgen.lang.diagnostics import Edit, Label
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.types import POISON, PerRobot, Type
@@ -22,7 +22,10 @@ Signature = tuple[tuple[decl.Parameter, ...], Type]
 
 
 def signature(node: ast.Function | ast.ExternFunction | ast.SpecFunction, c: Context) -> Signature:
-    """A function's parameters and result (POISON also where it is not known yet); makes the function known."""
+    """Define a function and return its parameters and result type.
+
+    The result type is POISON if it is wrong or not known yet.
+    """
     parameters = tuple([decl.Parameter(p.name, _parameter_type(p, c)) for p in node.parameters])
     result = POISON if node.result is None else resolve(node.result, c)
     entity: decl.Function | decl.ExternFunction | decl.SpecFunction
@@ -42,7 +45,7 @@ def _parameter_type(node: ast.Parameter, c: Context) -> Type:
     type_ = resolve(node.type, c)
     if node.size is None or type_ == POISON or isinstance(node.size, tree.Broken):
         return type_
-    if not per_robot(node.size, c):
+    if not is_fleet_size(node.size, c):
         message = f"only N_SYS is a size: {node.name} has one value for each robot, or it is a list"
         c.error("K017", message, node.size.span, f"write {type_} {node.name}[N_SYS], or List<{type_}> {node.name}")
         return POISON
@@ -63,33 +66,38 @@ def specs(sections: Iterable[ast.SpecFunction], c: Context) -> tuple[decl.SpecFu
 Signed = list[tuple[ast.Function, Signature]]
 
 
-def bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
-    """The functions, each behind those that it calls."""
-    signed = _inferable(signed, c)
+def check_bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
+    """Check the bodies of functions. Returns the functions, each after the functions that it calls."""
+    signed = _callees_first(signed, c)
     checked = {}
     for node, known in signed:
         function = _body(node, known, c)
         enter(node.name, node, function, c)
         checked[node.name] = function
-    order, cycles = ordered({name: sorted(c.calls.get(name, ())) for name in checked})
+    order, cycles = topological_order({name: sorted(c.calls.get(name, ())) for name in checked})
     for cycle in cycles:
         if len(cycle) == 1:
             message = f"the function {cycle[0]} calls itself"
         else:
             message = f"the function {cycle[0]} calls itself: {cycle[0]} calls {', which calls '.join(cycle[1:])}"
             message += f", which calls {cycle[0]}"
-        c.error("K026", message, checked[cycle[0]].span, "a loop does it within bounds")
+        c.error("K026", message, checked[cycle[0]].span, "use a loop instead of recursion")
     return tuple([checked[name] for name in order])
 
 
-def _inferable(signed: Signed, c: Context) -> Signed:
-    """With functions of the 2020 dialect, whose results nobody wrote, behind those that they call; they are checked in
-    this order, so that a result is known before it is used."""
+def _callees_first(signed: Signed, c: Context) -> Signed:
+    """Return the functions in the order in which they are checked.
+
+    Functions of the 2020 dialect declare no result types. If there are some, each function stands after those that it
+    calls, so that a result type is known before it is used.
+    """
     if all(node.result is not None for node, _ in signed):
         return signed
-    by_name = {node.name: (node, known) for node, known in signed if owns(node.name, node, c)}
+    by_name = {node.name: (node, known) for node, known in signed if is_owner(node.name, node, c)}
     calls = {name: _called(node) for name, (node, _) in by_name.items()}
-    return [by_name[name] for name in ordered(calls)[0]] + [s for s in signed if not owns(s[0].name, s[0], c)]
+    return [by_name[name] for name in topological_order(calls)[0]] + [
+        s for s in signed if not is_owner(s[0].name, s[0], c)
+    ]
 
 
 def _called(node: ast.Function) -> list[str]:
@@ -113,14 +121,16 @@ def _body(node: ast.Function, known: Signature, c: Context) -> decl.Function:
 def _temps(
     written: tuple[ast.Parameter, ...], parameters: tuple[decl.Parameter, ...], c: Context
 ) -> tuple[decl.Parameter, ...]:
-    """Makes the parameters temps of the section; gives them by their unique names. They may have the names of variables
-    and modules, which functions cannot read anyway."""
+    """Add the parameters to the section's temps; return them under their unique names.
+
+    A parameter may have the name of a variable or module, because functions cannot read those.
+    """
     scope = c.scopes[0]
     kept = []
     for node, (name, type_) in zip(written, ((p.name, p.type) for p in parameters), strict=True):
         entity = c.entities.get(name)
         first = scope.get(name) or (None if isinstance(entity, (decl.Local, decl.Shared, decl.Module)) else entity)
-        if reserved(name):
+        if is_reserved(name):
             c.error("K011", f"{name} is predefined", node.span, "choose another name")
             scope[name] = Temp(c.mint(name), type_, node.span)
         elif first is not None:
@@ -133,7 +143,7 @@ def _temps(
 
 
 def _modernise(node: ast.Function, result: Type, c: Context) -> None:
-    """`def fun f(pos a):` becomes `fun f(pos a) -> Point:`."""
+    """Suggest the modern head of a function: `def fun f(pos a):` becomes `fun f(pos a) -> Point:`."""
     start = node.def_span
     assert start is not None
     edits = [Edit(Span(start.line, start.column, node.span.line, node.span.column), "fun ")]
@@ -142,11 +152,11 @@ def _modernise(node: ast.Function, result: Type, c: Context) -> None:
         new = f"fun ... -> {result}"
         close = _closing_bracket(node, c)
         edits.append(Edit(Span(close.line, close.column, close.line, close.column), f" -> {result}"))
-    c.modern("def fun", new, start, tuple(edits))
+    c.report_old_spelling("def fun", new, start, tuple(edits))
 
 
 def _closing_bracket(node: ast.Function, c: Context) -> Span:
-    """The place right behind the bracket that ends the parameters."""
+    """Return the position after the bracket that ends the parameters."""
     last = node.parameters[-1].span if node.parameters else node.span
     line, column = last.end_line, last.end_column
     while True:
@@ -158,20 +168,23 @@ def _closing_bracket(node: ast.Function, c: Context) -> Span:
 
 
 def externs(sections: Iterable[ast.ExternFunction], c: Context) -> tuple[decl.ExternFunction, ...]:
-    """The extern functions with their contracts, whose formulas may call functions: these are known by now."""
+    """Check the contracts of extern functions.
+
+    Their formulas may call functions, which must be defined by now.
+    """
     return tuple([_extern(node, c) for node in sections])
 
 
 def _extern(node: ast.ExternFunction, c: Context) -> decl.ExternFunction:
     c.enter("contract")
     entity = c.entities.get(node.name)
-    if not isinstance(entity, decl.ExternFunction) or not owns(node.name, node, c):
+    if not isinstance(entity, decl.ExternFunction) or not is_owner(node.name, node, c):
         return decl.ExternFunction(node.name, (), POISON, (), (), node.span)
     parameters = _temps(node.parameters, entity.parameters, c)
     requires = _formulas(node, "requires", c)
     for parameter in node.parameters:
         if parameter.name == "result" and node.contracts:
-            message = "result is what the function yields, in its contract"
+            message = "in a contract, result is the function's result"
             c.error("K011", message, parameter.span, "choose another name")
     c.scopes.append({"result": Temp(c.mint("result"), entity.result, node.span)})
     ensures = _formulas(node, "ensures", c)

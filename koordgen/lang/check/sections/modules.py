@@ -1,14 +1,14 @@
-"""Modules: the ports that a program uses, and what it assumes of them."""
+"""Modules: the ports that a program uses, and its assumptions about them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Literal
 
-from koordgen.lang.check.base import a, condition
+from koordgen.lang.check.base import condition, with_article
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.names import enter, owns
-from koordgen.lang.check.types import bounded, resolve
+from koordgen.lang.check.names import enter, is_owner
+from koordgen.lang.check.types import resolve, with_capacities
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.ports import NO_MEANING, usual
@@ -22,18 +22,18 @@ Direction = Literal["sensor", "actuator", "callable", "stream"]
 
 
 def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
-    """The modules with their ports; sections of one name are one module. What they assume comes later."""
+    """Return the modules with their ports, without assumptions. Sections of the same name make one module."""
     found: dict[str, tuple[ast.Using, dict[str, decl.Port], dict[str, ast.Port]]] = {}
     for section in sections:
         _, ports, written = found.setdefault(section.name, (section, {}, {}))
         for group in section.items:
             if isinstance(group, ast.Ports):
                 for port in group.ports:
-                    _add(port, group.direction, section.name, ports, c)
+                    _add_port(port, group.direction, section.name, ports, c)
                     written.setdefault(port.name, port)
     result = []
     for name, (section, ports, written) in found.items():
-        if owns(name, section, c):
+        if is_owner(name, section, c):
             meant = [replace(port, meaning=_meaning(written[port.name], port, ports, c)) for port in ports.values()]
             module = decl.Module(name, tuple(meant), (), section.span)
             enter(name, section, module, c)
@@ -41,11 +41,11 @@ def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
     return result
 
 
-def _add(
+def _add_port(
     node: ast.Port, under: Literal["sensor", "actuator", ""], module: str, ports: dict[str, decl.Port], c: Context
 ) -> None:
     if isinstance(node.type, BrokenType):
-        return  # its name is a guess
+        return  # the parser only guessed its name
     type_ = resolve(node.type, c, True)
     first = ports.get(node.name)
     if first is not None:
@@ -53,51 +53,59 @@ def _add(
         c.error("K011", f"the port {module}.{node.name} is declared twice", node.span, labels=(label,))
         return
     direction = _direction(node, type_, under, f"{module}.{node.name}", c)
-    ports[node.name] = decl.Port(node.name, bounded(type_, (), True, c), direction, NO_MEANING, node.span)
+    ports[node.name] = decl.Port(node.name, with_capacities(type_, (), True, c), direction, NO_MEANING, node.span)
 
 
 def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
-    """Return the meaning that the marks of a port give it; without marks, the usual one of its name."""
+    """Return the meaning that a port's marks give it; without marks, the one usual for its name."""
     if not node.marks:
         return usual(port, ports.values())
     position, held, clears = False, "", list[str]()
     for mark in node.marks:
-        wrong = _misplaced(mark, port)
+        wrong = _mark_error(mark, port)
         if wrong is not None:
             c.error("K059", *wrong)
         elif mark.word == "as":
             position = True
         elif mark.word == "at":
             if held:
-                c.error("K059", f"{port.name} has '{held}' as its first value already", mark.span)
+                c.error("K059", f"{port.name} already has '{held}' as its initial value", mark.span)
             held = mark.name if _has_sensor(mark, port.type, ports, c) else held
         elif _has_sensor(mark, BOOL, ports, c):
             clears.append(mark.name)
     return decl.Meaning(position, held, tuple(dict.fromkeys(clears)))
 
 
-def _misplaced(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
-    """Return message, place and help of the error if a port cannot have the mark."""
+def _mark_error(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
+    """Return message, span and help of the error if a port cannot have the mark; otherwise None."""
     if mark.word != "as":
-        help = f"a command is an actuator's, and {port.name} is none"
-        return None if port.direction == "actuator" else (f"'{mark.word}' belongs to an actuator", mark.span, help)
+        help = f"{port.name} is not an actuator, so it gets no commands"
+        return (
+            None
+            if port.direction == "actuator"
+            else (f"'{mark.word}' is only allowed for an actuator", mark.span, help)
+        )
     if mark.name != "position":
-        return f"a sensor can stand for the robot's position, not for '{mark.name}'", mark.span, "write 'as position'"
+        return f"a sensor can be the robot's position, not '{mark.name}'", mark.span, "write 'as position'"
     if port.direction != "sensor" or port.type not in (POINT, POISON):
-        return f"{port.name} cannot be the robot's position, which is a sensor of type Point", mark.span, ""
+        return f"{port.name} cannot be the robot's position: only a sensor of type Point can", mark.span, ""
     return None
 
 
 def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Context) -> bool:
-    """Return whether the module has the sensor that a mark names, of a type; report it otherwise."""
+    """Return whether the module has the sensor that a mark names, and of this type; report it otherwise."""
     name = mark.name
     sensor = ports.get(name)
     if sensor is None or sensor.direction != "sensor":
         c.error("K059", f"this module has no sensor '{name}'", mark.span, "declare it under 'sensors:'")
         return False
     if sensor.type != type_ and POISON not in (sensor.type, type_):
-        wanted = f"'clears' takes sensors of type {type_}" if mark.word == "clears" else f"the actuator is {a(type_)}"
-        c.error("K059", f"the sensor '{name}' is {a(sensor.type)}; {wanted}", mark.span)
+        wanted = (
+            f"'clears' takes sensors of type {type_}"
+            if mark.word == "clears"
+            else f"the actuator is {with_article(type_)}"
+        )
+        c.error("K059", f"the sensor '{name}' is {with_article(sensor.type)}; {wanted}", mark.span)
         return False
     return True
 
@@ -105,25 +113,30 @@ def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Con
 def _direction(
     node: ast.Port, type_: Type, under: Literal["sensor", "actuator", ""], name: str, c: Context
 ) -> Direction:
-    help = "it stands directly under 'using'"
+    help = "declare it directly under 'using'"
     if type_ is PLANNER:
         if under == "actuator":
-            c.error("K017", f"{name} is called, not written: a PathPlanner is no actuator", node.span, help)
+            c.error("K017", f"{name} is called, not written: a PathPlanner is not an actuator", node.span, help)
         return "callable"
     if type_ is STREAM:
         if under == "sensor":
-            c.error("K017", f"{name} is written, not read: a stream is no sensor", node.span, help)
+            c.error("K017", f"{name} is written, not read: a stream is not a sensor", node.span, help)
         return "stream"
     if not under:
-        help = f"it stands under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
+        help = f"declare it under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
         if type_ is not POISON:
-            c.error("K017", f"{name} is {a(type_)}; only a PathPlanner or a stream stands here", node.span, help)
+            c.error(
+                "K017",
+                f"{name} is {with_article(type_)}; only a PathPlanner or a stream is allowed here",
+                node.span,
+                help,
+            )
         return "sensor"
     return under
 
 
 def assumptions(sections: Iterable[ast.Using], modules: list[decl.Module], c: Context) -> tuple[decl.Module, ...]:
-    """The modules with what is assumed of their ports."""
+    """Return the modules with the assumptions about their ports."""
     assumed: dict[str, list[decl.Assumption]] = {}
     for section in sections:
         known = isinstance(c.entities.get(section.name), decl.Module)

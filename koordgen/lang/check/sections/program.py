@@ -1,5 +1,7 @@
-"""A whole program: names, then types and signatures, then first values and bodies, so that sections may stand in any
-order; init and the events in the order of their writing."""
+"""A whole program: names, then types and signatures, then initial values and bodies.
+
+This order lets sections stand anywhere in the text. Init and the events are checked in the order of the text.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ import os
 from typing import Any, NamedTuple
 
 from koordgen.lang.check.context import Context
-from koordgen.lang.check.names import claim
+from koordgen.lang.check.names import claim_names
 from koordgen.lang.check.sections.declare import (
     extern_types,
     param_defaults,
@@ -27,17 +29,17 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
 
 
-class Typed(NamedTuple):
-    """A program whose names are resolved and whose types are known, with drafts among its nodes: see `ir.draft`."""
+class ResolvedProgram(NamedTuple):
+    """Result of the first check: a program with names and types, with drafts among its nodes (`ir.draft`)."""
 
     program: decl.Program
     found: list[Diagnostic]
 
 
-def resolve(program: ast.Program, source: Source) -> Typed:
-    """Resolve names and types; the first of the two checks of a program."""
+def resolve(program: ast.Program, source: Source) -> ResolvedProgram:
+    """Resolve names and types: the first of the two checks of a program."""
     c = Context(source, program)
-    return Typed(_program(program, c), c.found)
+    return ResolvedProgram(_program(program, c), c.found)
 
 
 def _program(program: ast.Program, c: Context) -> decl.Program:
@@ -48,7 +50,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     def of(kind: type) -> list[Any]:
         return sections.get(kind, [])
 
-    claim(program, c)
+    claim_names(program, c)
     opaque = extern_types(of(ast.ExternType), c)
     fields = record_types(of(ast.RecordDef), c)
     param_types(of(ast.Param), c)
@@ -69,7 +71,7 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     params = param_defaults(of(ast.Param), c)
     shared, locals_ = variable_initials(typed, c)
     if any(written):
-        functions = function.bodies(signed, c)
+        functions = function.check_bodies(signed, c)
         externs = function.externs(written[1], c)
     init = _init(of(ast.Init), c)
     if not sections.keys() & {ast.Event, ast.Priority, ast.BrokenSection}:
@@ -90,6 +92,6 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
 
 
 def _init(sections: list[ast.Init], c: Context) -> Block:
-    """Several are one, in the order of their writing."""
+    """Check all init sections and join them into one block, in the order of the text."""
     c.enter("init")
     return tuple([statement for section in sections for statement in check_block(section.block, c)])

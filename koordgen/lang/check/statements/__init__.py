@@ -1,6 +1,6 @@
 """Checks of statements.
 
-Owns: assignments, updates, loops and whether their end can be seen.
-Offers: the checker of a block.
+Owns: assignments, updating methods, loops, control flow.
+Offers: `stmt.check_block` to `sections`.
 Must not import: `sections`.
 """

@@ -1,12 +1,12 @@
-"""Loops: what they run over, and the types of their variables."""
+"""Loops: their domains, and the types of their variables."""
 
 from __future__ import annotations
 
-from koordgen.lang.check.base import a, condition
+from koordgen.lang.check.base import condition, with_article
 from koordgen.lang.check.context import Context, Out, check_block
 from koordgen.lang.check.expressions.collection import check_domain, declare, elements
 from koordgen.lang.check.expressions.dialect import old_for
-from koordgen.lang.check.invariant import check_invariants, split
+from koordgen.lang.check.invariant import check_invariants, split_invariants
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir import stmt
 from koordgen.lang.ir.types import POISON, MapOf, TupleOf, Type
@@ -23,7 +23,7 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
     c.scopes.append({})
     temps = [declare(name.name, type_, name.span, c) for name, type_ in zip(node.names, types, strict=True)]
     names = tuple([temp.unique for temp in temps if temp is not None])
-    head, rest = split(node.block)
+    head, rest = split_invariants(node.block)
     counted = isinstance(values, (ir.Range, ir.Ids))
     invariants = check_invariants(head, c, out, () if counted else names, names)
     block = _body(rest, c)
@@ -32,7 +32,7 @@ def check_for(node: tree.For, c: Context, out: Out) -> None:
 
 
 def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Type, ...]:
-    """The types of the loop's variables."""
+    """Return the types of the loop's variables."""
     count = len(node.names)
     if count == 1 or element is POISON:
         return (element,) * count
@@ -43,12 +43,12 @@ def _types(node: tree.For, values: Type, element: Type, c: Context) -> tuple[Typ
     else:
         over_map = count == 2 and isinstance(values, MapOf)
         help = f"write {c.text(node.values.span)}.items()" if over_map else ""
-        c.error("K012", f"each element is {a(element)}, not {count} values", node.values.span, help)
+        c.error("K012", f"each element is {with_article(element)}, not {count} values", node.values.span, help)
     return (POISON,) * count
 
 
 def check_while(node: tree.While, c: Context, out: Out) -> None:
-    head, rest = split(node.block)
+    head, rest = split_invariants(node.block)
     invariants = check_invariants(head, c, out)
     held = condition(node.condition, c, "the condition of 'while'")
     out.append(stmt.While(held, _body(rest, c), node.span, invariants))

@@ -1,16 +1,23 @@
-"""Statements: their types, and the places that they may write."""
+"""Statements: types of their values, and places that they write."""
 
 from __future__ import annotations
 
 from typing import cast
 
-from koordgen.lang.check.base import a, check_expr, condition, default, fitting
+from koordgen.lang.check.base import check_expr, condition, converted, default, with_article
 from koordgen.lang.check.context import STATEMENTS, Context, Out, check_block
 from koordgen.lang.check.expressions.collection import declare
 from koordgen.lang.check.expressions.expr import arithmetic
 from koordgen.lang.check.expressions.name import declared_port, module_named
 from koordgen.lang.check.statements.loop import check_counted, check_for, check_while
-from koordgen.lang.check.statements.target import Target, check_target, check_update, declaration, pops, updates
+from koordgen.lang.check.statements.target import (
+    AssignmentTarget,
+    check_target,
+    check_update,
+    declaration,
+    is_pop,
+    is_update,
+)
 from koordgen.lang.check.types import resolve
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
@@ -29,26 +36,28 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
     target = check_target(node.target, c)
     if target is None:
         c.hoisted.clear()
-        out.append(draft.Wrong((_unassigned(node, c),), node.span))
+        out.append(draft.WrongStmt((_unassigned(node, c),), node.span))
         return
     type_ = target.read.type
-    if not node.op and pops(node.value, c):
+    if not node.op and is_pop(node.value, c):
         _assign_popped(node, target, c, out)
         return
     value = check_expr(node.value, c, type_)
     if node.op:
         value = arithmetic(node.op, target.read, value, node.span, c)
     if value.type is not type_:
-        value = fitting(value, type_, c.text(node.target.span), c)
+        value = converted(value, type_, c.text(node.target.span), c)
     write(target, value, bool(node.op), node.span, c, out)
 
 
 def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
-    """Check and return the value of an assignment that writes nothing. It gives the type for the help with a variable
-    that nobody declared."""
+    """Check and return the value of an assignment whose target is wrong.
+
+    If the target is an undeclared variable, the value's type completes the help, which shows a declaration.
+    """
     at, target = len(c.found) - 1, node.target
     forgotten = isinstance(target, ast.Name) and c.owners.get(target.name) is target
-    if pops(node.value, c):
+    if is_pop(node.value, c):
         update = check_update(node.value, c)
         value = (update[1] if update is not None else None) or c.poison(node.span)
         c.hoisted.clear()
@@ -58,19 +67,19 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     if not forgotten or not isinstance(target, ast.Name) or c.found[at].help != declaration(target.name):
         return value
     if isinstance(node.value, ast.ListDisplay) and not node.value.items:
-        type_ = list_of(POINT)  # an example
+        type_ = list_of(POINT)  # an example type for the help
     known = type_ is not POISON and not isinstance(type_, PerRobot)
     span, text = node.value.span, c.text(node.value.span)
     kept = known and not node.op and span.line == span.end_line and len(text) <= 40
     help = declaration(target.name, str(type_) if known else "Type", text if kept else "...")
     if c.place in ("init", "effect"):
-        help += "; one that is to last stands under 'local:'"
+        help += "; declare it under 'local:' to keep it for later events"
     c.found[at] = replace(c.found[at], help=help)
     return value
 
 
-def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
-    """`target = value`, typed; `reads`: the target's own value is part of the new one."""
+def write(target: AssignmentTarget, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
+    """Append the IR of `target = value`. `reads`: the new value depends on the old one."""
     place = target.place
     hoist(span, c, out)
     if c.place == "init" and type(place) is stmt.SharedPlace:
@@ -87,24 +96,27 @@ def write(target: Target, value: ir.Expr, reads: bool, span: Span, c: Context, o
 
 
 def hoist(span: Span, c: Context, out: Out) -> None:
-    """Let what must be evaluated before a statement, which stands at `span`, stand before it."""
+    """Append the declarations that must be evaluated before the statement at `span`."""
     for let in c.hoisted:
         out.append(replace(let, span=span))
     c.hoisted.clear()
 
 
-def _assign_popped(node: tree.Assign, target: Target, c: Context, out: Out) -> None:
-    """`x = q.pop()`: read, then remove. A part of a variable is written last, and so is one that the index of `pop`
-    reads: what is removed is what was read."""
+def _assign_popped(node: tree.Assign, target: AssignmentTarget, c: Context, out: Out) -> None:
+    """Check `x = q.pop()`: read the element, then remove it.
+
+    A target that is a part of a variable is written last. So is a variable that the index of `pop` reads: otherwise
+    another element would be removed than was read.
+    """
     assert isinstance(node.value, ast.Call)
     update = check_update(node.value, c)
     if update is None:
         c.hoisted.clear()
-        out.append(draft.Wrong((), node.span))
+        out.append(draft.WrongStmt((), node.span))
         return
     queue, value, rest = update
     assert value is not None
-    value = fitting(value, target.read.type, c.text(node.target.span), c)
+    value = converted(value, target.read.type, c.text(node.target.span), c)
     if target.whole and queue.whole and target.read not in set(walk(rest)):
         write(target, value, False, node.span, c, out)
         write(queue, rest, True, node.span, c, out)
@@ -123,24 +135,29 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
-            out.append(draft.Wrong((), node.span))  # `assert b`, `del n`: no declaration was meant
+            out.append(draft.WrongStmt((), node.span))  # `assert b`, `del n` parse as declarations, but are none
             return
         value = default(type_, node.span, c)
-    elif pops(node.value, c):
+    elif is_pop(node.value, c):
         update = check_update(node.value, c)
         value = (update[1] if update is not None else None) or c.poison(node.span)
     else:
         value = check_expr(node.value, c, type_)
-    value = fitting(value, type_, node.name, c)
+    value = converted(value, type_, node.name, c)
     temp = declare(node.name, type_, node.name_span, c)
     hoist(node.span, c, out)
-    out.append(stmt.Let(temp.unique, type_, value, node.span) if temp is not None else draft.Wrong((value,), node.span))
+    out.append(
+        stmt.Let(temp.unique, type_, value, node.span) if temp is not None else draft.WrongStmt((value,), node.span)
+    )
     if update is not None:
         write(update[0], update[2], True, node.span, c, out)
 
 
 def _type(node: tree.Declare, c: Context) -> Type:
-    """The type of a declaration, as which a statement of another language may read: `global n`."""
+    """Return the type of a declaration.
+
+    Reports a statement of another language that parses as one: `global n`.
+    """
     written = node.type
     if isinstance(written, NamedType) and written.name not in NAMED and written.name not in c.types:
         from koordgen.lang.syntax.habits import FOREIGN
@@ -153,41 +170,41 @@ def _type(node: tree.Declare, c: Context) -> Type:
 
 def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
     value = node.value
-    if updates(value, c):
+    if is_update(value, c):
         update = check_update(value, c)
         if update is not None:
             write(update[0], update[2], True, node.span, c, out)
         else:
-            out.append(draft.Wrong((), node.span))
+            out.append(draft.WrongStmt((), node.span))
         c.hoisted.clear()
     elif isinstance(value, ast.Binary) and value.op == "<<":
         _emit(value, node.span, c, out)
     elif isinstance(value, ast.Compare) and value.rest[0][0] == "==":
         c.error("K024", "this compares and does nothing", node.span, "'=' assigns")
-        out.append(draft.Wrong((), node.span))
+        out.append(draft.WrongStmt((), node.span))
     else:
         checked = check_expr(value, c)
-        out.append(draft.Wrong((checked,), node.span))
+        out.append(draft.WrongStmt((checked,), node.span))
         if checked.type is POISON:
             return
         if isinstance(value, ast.Call):
             help = f"assign it: x = {c.text(node.span)}"
             c.error("K024", "the result of this call is not used", node.span, help if len(help) < 60 else "assign it")
         else:
-            c.error("K024", "this is a value and does nothing", node.span)
+            c.error("K024", "this value is not used", node.span)
 
 
 # Streams
 
 
 def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
-    """`Log.stdout << a << b`"""
+    """Check a statement that writes to a stream: `Log.stdout << a << b`."""
     parts: list[ast.Expr] = []
     head: ast.Expr = node
     while isinstance(head, ast.Binary) and head.op == "<<":
         parts.append(head.right)
         head = head.left
-    items = tuple([_text(check_expr(part, c), c) for part in reversed(parts)])
+    items = tuple([_as_string(check_expr(part, c), c) for part in reversed(parts)])
     module = module_named(head.value, c) if isinstance(head, ast.Attribute) else None
     port = declared_port(module, head, c) if module is not None and isinstance(head, ast.Attribute) else None
     if module is not None and port is not None and port.type is STREAM and c.place != "function":
@@ -197,31 +214,31 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
         items = (*items, check_expr(head, c))
         if items[-1].type is not POISON:
             help = "declare one: 'using Log:' with 'stream stdout' under it"
-            c.error("K056", f"{c.text(head.span)} is no stream", head.span, help)
+            c.error("K056", f"{c.text(head.span)} is not a stream", head.span, help)
     elif port is not None and port.type is STREAM:
-        help = "do it in the event that calls the function"
-        c.error("K027", "a function changes nothing: it cannot write to a stream", span, help)
+        help = "write to it in the event that calls the function"
+        c.error("K027", "a function has no effects: it cannot write to a stream", span, help)
     elif port is not None and port.type is not POISON:
-        c.error("K056", f"{module.name}.{port.name} is {a(port.type)}, not a stream", head.span)
-    out.append(draft.Wrong(items, span))
+        c.error("K056", f"{module.name}.{port.name} is {with_article(port.type)}, not a stream", head.span)
+    out.append(draft.WrongStmt(items, span))
 
 
-def _text(value: ir.Expr, c: Context) -> ir.Expr:
-    """What a stream shows of a value: a string."""
+def _as_string(value: ir.Expr, c: Context) -> ir.Expr:
+    """Return the string that a stream shows for a value."""
     type_ = value.type
     if type_ is POISON or type_ == STRING:
         return value
     if type_ is INT or type_ is FLOAT or type_ is BOOL or type_ is POINT:
         return ir.Builtin("str", (value,), STRING, value.span)
-    help = "show its parts, or its length"
-    return c.error("K056", f"a stream cannot show {a(type_)}", value.span, help, (), value)
+    help = "write its parts, or its length"
+    return c.error("K056", f"a stream cannot show {with_article(type_)}", value.span, help, (), value)
 
 
-# What leads elsewhere
+# Control flow
 
 
 def _if(node: tree.If, c: Context, out: Out) -> None:
-    """`elif` becomes an If in `orelse`."""
+    """Check `if`; each `elif` becomes an If in `orelse`."""
     checked: list[tuple[ir.Expr, stmt.Block, Span]] = []
     for branch in node.branches:
         held = condition(branch.condition, c, "the condition of 'if'")
@@ -233,13 +250,16 @@ def _if(node: tree.If, c: Context, out: Out) -> None:
 
 
 def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
-    """The event as a whole is the transaction: the block stands behind the word."""
+    """Check `atomic:`.
+
+    It makes the whole event a transaction, so its block follows the `draft.Atomic` marker.
+    """
     if c.atomic:
-        c.error("K045", "'atomic' stands within 'atomic'", node.span, "the outer one holds for all of it: leave it out")
+        c.error("K045", "'atomic' is nested in 'atomic'", node.span, "the outer one covers this block: remove this one")
     elif c.place == "function":
-        c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around what calls it in an event")
+        c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around its call in an event")
     elif c.place == "init":
-        help = "no robot may read shared variables yet, so nothing can be lost: leave it out"
+        help = "no robot may read shared variables yet, so nothing can be lost: remove it"
         c.error("K045", "init cannot be atomic", node.span, help)
     out.append(draft.Atomic(node.span))
     c.atomic += 1
@@ -250,24 +270,24 @@ def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
 def _return(node: tree.Return, c: Context, out: Out) -> None:
     if c.place != "function":
         value = check_expr(node.value, c)
-        c.error("K028", "'return' has no function to leave", node.span, "'stop' holds a robot for good")
+        c.error("K028", "'return' is outside of a function", node.span, "'stop' stops a robot for good")
     else:
         value = check_expr(node.value, c, c.result)
         if c.result is None:
             c.result = value.type
-        value = fitting(value, c.result, "the result", c)
+        value = converted(value, c.result, "the result", c)
     out.append(stmt.Return(value, node.span))
 
 
 def _break(node: tree.Break, c: Context, out: Out) -> None:
     if not c.loops:
-        c.error("K028", "'break' has no loop to leave", node.span)
+        c.error("K028", "'break' is outside of a loop", node.span)
     out.append(stmt.Break(node.span))
 
 
 def _continue(node: tree.Continue, c: Context, out: Out) -> None:
     if not c.loops:
-        c.error("K028", "'continue' has no loop to go on with", node.span)
+        c.error("K028", "'continue' is outside of a loop", node.span)
     out.append(stmt.Continue(node.span))
 
 
@@ -282,7 +302,7 @@ def _nothing(node: tree.Pass, c: Context, out: Out) -> None:
 
 
 def _broken(node: tree.BrokenStmt, c: Context, out: Out) -> None:
-    out.append(draft.Unread(node.span))
+    out.append(draft.UnparsedStmt(node.span))
 
 
 STATEMENTS.update(

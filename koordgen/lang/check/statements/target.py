@@ -1,24 +1,26 @@
-"""What assignments and updating methods write: a variable as a whole, or a part of its value, which is written by
-writing the whole with that part replaced."""
+"""Targets of assignments and updating methods: a variable, or a part of its value.
+
+A part is written by writing the whole value with that part replaced.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TypeGuard
 
-from koordgen.lang.check.base import a, argument, check_expr, fitting, has_call, is_poisoned
+from koordgen.lang.check.base import check_expr, converted, converted_argument, has_call, is_poisoned, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
-from koordgen.lang.check.expressions.call import no_method, positional, skip
+from koordgen.lang.check.expressions.call import positional_arguments, report_no_method, skip
 from koordgen.lang.check.expressions.collection import element
 from koordgen.lang.check.expressions.name import (
     FOREIGN,
     declared_port,
-    ended,
     field_of,
     module_named,
-    no_field,
-    refused,
-    word_of,
+    reject_robot_state,
+    report_ended,
+    report_no_field,
+    type_word,
 )
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import expr as ir
@@ -41,8 +43,12 @@ from koordgen.lang.node import Node
 from koordgen.lang.syntax import expr as ast
 
 
-class Target(Node):
-    """`place` is written with `put(new)`, where `new` is the new value of what `read` reads: the whole, or a part."""
+class AssignmentTarget(Node):
+    """Target of an assignment: a variable, or a part of its value.
+
+    `read` reads the target. To give it the value `new`, `place`, the whole variable, is set to `put(new)`. `whole`: the
+    target is the variable itself, so `put(new)` is `new`.
+    """
 
     place: stmt.Place | SlotPlace
     read: ir.Expr
@@ -50,8 +56,8 @@ class Target(Node):
     whole: bool
 
 
-def check_target(node: ast.Expr, c: Context) -> Target | None:
-    """What an assignment writes; None after reporting that it cannot."""
+def check_target(node: ast.Expr, c: Context) -> AssignmentTarget | None:
+    """Return the target of an assignment; None after reporting that it cannot be assigned."""
     match node:
         case ast.Name():
             return _named(node, c)
@@ -78,7 +84,7 @@ def check_target(node: ast.Expr, c: Context) -> Target | None:
 
 def _no_target(node: ast.Expr, c: Context) -> None:
     if check_expr(node, c).type is not POISON:
-        help = "a loop assigns its elements one by one" if isinstance(node, ast.Slice) else ""
+        help = "assign its elements one by one in a loop" if isinstance(node, ast.Slice) else ""
         if isinstance(node, ast.Tuple):
             help = "assign each variable on a line of its own"
         c.error("K022", f"{c.text(node.span)} cannot be assigned", node.span, help)
@@ -88,11 +94,11 @@ def _same(value: ir.Expr) -> ir.Expr:
     return value
 
 
-def _named(node: ast.Name, c: Context) -> Target | None:
+def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
     name, span = node.name, node.span
     temp = c.temp(name)
     if temp is not None:
-        return Target(stmt.TempPlace(temp.unique), ir.TempRead(temp.unique, temp.type, span), _same, True)
+        return AssignmentTarget(stmt.TempPlace(temp.unique), ir.TempRead(temp.unique, temp.type, span), _same, True)
     if name not in c.entities:
         _unknown(node, c)
         return None
@@ -100,11 +106,11 @@ def _named(node: ast.Name, c: Context) -> Target | None:
         case None:
             pass
         case Local(type=type_):
-            if refused("the variable ", name, span, c) is None:
-                return Target(stmt.LocalPlace(name), ir.LocalRead(name, type_, span), _same, True)
+            if reject_robot_state("the variable ", name, span, c) is None:
+                return AssignmentTarget(stmt.LocalPlace(name), ir.LocalRead(name, type_, span), _same, True)
         case Shared(kind="allwrite", type=type_):
-            if refused("the variable ", name, span, c) is None:
-                return Target(stmt.SharedPlace(name), ir.SharedRead(name, type_, span), _same, True)
+            if reject_robot_state("the variable ", name, span, c) is None:
+                return AssignmentTarget(stmt.SharedPlace(name), ir.SharedRead(name, type_, span), _same, True)
         case Shared():
             c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
         case Param():
@@ -123,37 +129,37 @@ def _unknown(node: ast.Name, c: Context) -> None:
     if name in PREDEFINED:
         c.error("K022", f"{name} is predefined and cannot be assigned", span)
     elif name not in c.broken and name not in c.owners:
-        c.owners[name] = node  # it was to declare the name: what follows is no new mistake
-        if not ended(name, span, c):
-            help = FOREIGN.get(name) or c.nearest(name, [n for n in c.visible() if n not in PREDEFINED])
+        c.owners[name] = node  # treat the assignment as a declaration, so that later uses are not reported
+        if not report_ended(name, span, c):
+            help = FOREIGN.get(name) or c.suggestion(name, [n for n in c.visible_names() if n not in PREDEFINED])
             c.error("K010", f"{name} is not defined", span, help or declaration(name))
 
 
 def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
-    """The help for what was not declared."""
+    """Return the help for an undeclared variable."""
     return f"declare it: '{type_} {name} = {value}'"
 
 
-def _slot(node: ast.Index, entity: Shared, c: Context) -> Target | None:
-    index = fitting(check_expr(node.index, c), INT, "an index", c)
+def _slot(node: ast.Index, entity: Shared, c: Context) -> AssignmentTarget | None:
+    index = converted(check_expr(node.index, c), INT, "an index", c)
     if index.type is POISON or entity.type is POISON:
         return None
     name = entity.name
-    if refused("the variable ", name, node.value.span, c) is not None:
+    if reject_robot_state("the variable ", name, node.value.span, c) is not None:
         return None
     read = ir.SlotRead(name, ir.Pid(INT, index.span), True, entity.type, node.span)
     place = stmt.OwnSlot(name) if type(index) is ir.Pid else SlotPlace(name, index, node.span)
-    return Target(place, read, _same, True)
+    return AssignmentTarget(place, read, _same, True)
 
 
-def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
+def _port(module: Module, node: ast.Attribute, c: Context) -> AssignmentTarget | None:
     port = declared_port(module, node, c)
     name = f"{module.name}.{node.name}"
-    if port is None or refused("the port ", name, node.span, c) is not None:
+    if port is None or reject_robot_state("the port ", name, node.span, c) is not None:
         return None
     if port.direction == "actuator":
         read = ir.PortRead(module.name, port.name, False, port.type, node.span)
-        return Target(stmt.PortPlace(module.name, port.name), read, _same, True)
+        return AssignmentTarget(stmt.PortPlace(module.name, port.name), read, _same, True)
     if port.direction == "sensor":
         label = Label(port.span, "declared as a sensor")
         c.error("K020", f"{name} is a sensor and cannot be assigned", node.span, labels=(label,))
@@ -164,8 +170,8 @@ def _port(module: Module, node: ast.Attribute, c: Context) -> Target | None:
     return None
 
 
-def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
-    """`outer[index]`: of a List, a Map, a tuple."""
+def _element(outer: AssignmentTarget, node: ast.Index, c: Context) -> AssignmentTarget | None:
+    """Return the target `outer[index]`, of a List, a Map or a tuple."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
         return None
@@ -178,7 +184,7 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
     if index.type is POISON:
         return None
     if isinstance(type_, MapOf):
-        key = hoisted(fitting(index, type_.key, "the key", c), c)
+        key = hoisted(converted(index, type_.key, "the key", c), c)
         if key.type is POISON:
             return None
         at = ir.Builtin("map_at", (read, key), type_.value, node.span)
@@ -190,19 +196,19 @@ def _element(outer: Target, node: ast.Index, c: Context) -> Target | None:
         return _part(outer, found, lambda new: ir.Builtin("updated", (read, found.index, new), type_, node.span))
     part = element(read, index, node, c)
     if part.type is not POISON:
-        message = f"{c.text(node.span)} is a part of {a(type_)} and cannot be assigned"
+        message = f"{c.text(node.span)} is a part of {with_article(type_)} and cannot be assigned"
         c.error("K022", message, node.span, "assign it as a whole")
     return None
 
 
-def _field(outer: Target, node: ast.Attribute, c: Context) -> Target | None:
-    """`outer.name`: of a record."""
+def _field(outer: AssignmentTarget, node: ast.Attribute, c: Context) -> AssignmentTarget | None:
+    """Return the target `outer.name`, of a record."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
         return None
     field = field_of(type_, node.name)
     if field is None:
-        no_field(read, node, c)
+        report_no_field(read, node, c)
         return None
     if not isinstance(type_, RecordType):
         help = "assign a whole Point: p = Point(x, y, z)" if type_ is POINT else f"assign a whole {type_}"
@@ -212,12 +218,15 @@ def _field(outer: Target, node: ast.Attribute, c: Context) -> Target | None:
     return _part(outer, part, lambda new: ir.With(read, node.name, new, type_, node.span))
 
 
-def _part(outer: Target, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> Target:
-    return Target(outer.place, read, lambda new: outer.put(put(new)), False)
+def _part(outer: AssignmentTarget, read: ir.Expr, put: Callable[[ir.Expr], ir.Expr]) -> AssignmentTarget:
+    return AssignmentTarget(outer.place, read, lambda new: outer.put(put(new)), False)
 
 
 def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
-    """An index that is read twice: what is called in it is called once, before the statement."""
+    """Return an index that can be read twice.
+
+    If it has a call, a temp before the statement keeps its value.
+    """
     if not has_call(index):
         return index
     name = c.mint("index")
@@ -225,14 +234,14 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
     return ir.TempRead(name, index.type, index.span)
 
 
-# Methods that change their object: `xs.append(v)` writes `xs` with a value that is longer by one.
+# Methods that change their object: `xs.append(v)` assigns to `xs` a value that is longer by one.
 
-Update = tuple[Target, ir.Expr | None, ir.Expr]  # what is changed; what `pop` yields; the new value
+Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
 _NAMES = {name for _, name in UPDATES} | {"pop"}
 
 
-def updates(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
-    """Whether an expression is the call of a method that changes its object."""
+def is_update(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
+    """Return whether an expression is a call of a method that changes its object."""
     return (
         type(node) is ast.Call
         and type(node.function) is ast.Attribute
@@ -241,13 +250,13 @@ def updates(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
     )
 
 
-def pops(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
-    """Whether it also yields a value."""
-    return updates(node, c) and isinstance(node.function, ast.Attribute) and node.function.name == "pop"
+def is_pop(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
+    """Return whether an expression is a call of `pop`, which changes its object and has a value."""
+    return is_update(node, c) and isinstance(node.function, ast.Attribute) and node.function.name == "pop"
 
 
 def check_update(node: ast.Call, c: Context) -> Update | None:
-    """What a call for which `updates` holds does; None after reporting that it is wrong."""
+    """Return the effect of a call for which `is_update` is true; None after reporting that it is wrong."""
     function = node.function
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)
@@ -255,21 +264,21 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
         skip(node, c)
         return None
     type_, name = target.read.type, function.name
-    word = word_of(type_)
+    word = type_word(type_)
     if name == "pop" and word in ("List", "Queue"):
         return _pop(target, node, c)
     update = UPDATES.get((word, name))
     if update is None:
         skip(node, c)
-        no_method(target.read, function, c)
+        report_no_method(target.read, function, c)
         return None
     types = _arguments(type_, name)
     takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional(node, name, (len(types),), takes, c)
+    nodes = positional_arguments(node, name, (len(types),), takes, c)
     if not isinstance(nodes, tuple):
         return None
     args = [
-        argument(check_expr(arg, c, wanted), wanted, f"an argument of {name}", c)
+        converted_argument(check_expr(arg, c, wanted), wanted, f"an argument of {name}", c)
         for arg, wanted in zip(nodes, types, strict=True)
     ]
     if is_poisoned(args):
@@ -278,7 +287,7 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
 
 
 def _arguments(type_: Type, name: str) -> tuple[Type, ...]:
-    """What an updating method of a type takes."""
+    """Return the types of the parameters of an updating method."""
     if name == "clear":
         return ()
     if isinstance(type_, MapOf):
@@ -289,12 +298,16 @@ def _arguments(type_: Type, name: str) -> tuple[Type, ...]:
     return (INT, type_.element) if name == "insert" else (type_.element,)
 
 
-def _pop(target: Target, node: ast.Call, c: Context) -> Update | None:
+def _pop(target: AssignmentTarget, node: ast.Call, c: Context) -> Update | None:
     read, type_, span = target.read, target.read.type, node.span
     assert isinstance(type_, Sequence)
     many = (0,) if type_.name == "Queue" else (0, 1)
-    help = "the front goes first" if type_.name == "Queue" else "pop() takes the last element, pop(i) that at i"
-    nodes = positional(node, "pop", many, help, c)
+    help = (
+        "pop() removes the front of a Queue"
+        if type_.name == "Queue"
+        else "pop() removes the last element, pop(i) the element at index i"
+    )
+    nodes = positional_arguments(node, "pop", many, help, c)
     if not isinstance(nodes, tuple):
         return None
     if type_.name == "Queue":
@@ -304,7 +317,7 @@ def _pop(target: Target, node: ast.Call, c: Context) -> Update | None:
         last = ir.Binary("-", ir.Builtin("len", (read,), INT, span), ir.Const(1, INT, span), True, INT, span)
         value = ir.At(read, last, False, type_.element, span)
         return target, value, ir.Builtin("popped", (read,), type_, span)
-    index = hoisted(fitting(check_expr(nodes[0], c), INT, "an index", c), c)
+    index = hoisted(converted(check_expr(nodes[0], c), INT, "an index", c), c)
     if index.type is POISON:
         return None
     return target, ir.At(read, index, False, type_.element, span), ir.Builtin("without", (read, index), type_, span)

@@ -1,8 +1,8 @@
 """kitchen: the Koord program kitchen.koord, compiled by koordgen 0.1.0.
 
-The comment `# line 12` names a line of kitchen.koord, which stands beside this file. `s` is what
-an event sees and writes, `my_x` is its own variable `x`. The next build writes this file anew:
-change the Koord program, not this.
+The comment `# line 12` names a line of kitchen.koord, in the folder of this file.
+`s` is the state that an event reads and writes; `my_x` is a variable `x` declared in the event.
+The next build overwrites this file: change the Koord program instead.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from koordgen.runtime.values.region import Ball, Rect
 from koordgen.runtime.values.text import shown
 from koordgen.runtime.values.turns import looked, looked_in, made, minus, plus, turn, turns
 
-# Python and Koord do the same here. Where that is not plain to see:
+# Python and Koord compute the same values. Operators and functions that need an explanation:
 #   a + b             of ints has no overflow; more than 64 bits in a variable discard the event
 #   a // b, a % b     round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1
 #   a / b             of ints is a float; b == 0 discards the event
-#   at(xs, i)         is xs[i]; an i below 0 or beyond the end discards the event
-#   power(a, b)       is a ** b, of two ints an int; then b < 0 discards the event
+#   at(xs, i)         is xs[i]; i < 0 or i >= len(xs) discards the event
+#   power(a, b)       is a ** b; of two ints it is an int, and b < 0 discards the event
 #   plus(a, b)        is a + b; more than 4096 bits discard the event
-#   total(xs)         adds floats from left to right: Pythons differ in what `sum` rounds to
-#   round(x)          takes the even one of two ints that are as near: round(2.5) is 2
+#   total(xs)         adds floats from left to right: how `sum` rounds depends on Python's version
+#   round(x)          rounds half to even: round(2.5) is 2
 #   no_nan(x)         is x; NaN discards the event, where a comparison alone would be false
 #   str(x), shown(p)  write numbers as Python does, 2.5 or 1e+20, and a Point as (x, y, z)
-#   appended, replace make a new value: none ever changes, so an assignment need not copy
-#   set_of, map_of    make sorted tuples: robots go through a set or map in the same order
-#   turns(xs)         is xs, and counts: an event has a million turns of loops and calls
+#   appended, replace make a new value: values never change, so an assignment need not copy
+#   set_of, map_of    make sorted tuples: all robots iterate over a set or map in the same order
+#   turns(xs)         is xs, and counts turns: an event has at most a million turns and calls
 #   made(xs)          is xs, and counts a turn for each 100 elements; so does looked(xs)
 #   f(a) + g(b)       calls f first: operands are evaluated from left to right, as in Koord
 
@@ -117,7 +117,7 @@ EXTERN_WEIGH = Extern(
 
 
 class State(Transaction):
-    """What one event of kitchen sees on one robot, and what it has written so far."""
+    """State of one robot during one event of kitchen, with the writes of the event so far."""
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame)

@@ -1,6 +1,6 @@
 """kitchen: the properties of the Koord program kitchen.koord, by koordgen 0.1.0.
 
-The next build writes this file anew: change the Koord program, not this.
+The next build overwrites this file: change the Koord program instead.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from koordgen.runtime.values.turns import looked, turns
 
 from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_heavy
 
-# As in program.py; a formula has no value where it says that the event is discarded:
-#   at(xs, i)         is xs[i]; an i below 0 or beyond the end discards the event
+# As in program.py. Where a line says "discards the event", a formula has no value:
+#   at(xs, i)         is xs[i]; i < 0 or i >= len(xs) discards the event
 #   no_nan(x)         is x; NaN discards the event, where a comparison alone would be false
-#   turns(xs)         is xs, and counts: an event has a million turns of loops and calls
+#   turns(xs)         is xs, and counts turns: an event has at most a million turns and calls
 #   made(xs)          is xs, and counts a turn for each 100 elements; so does looked(xs)
 #   f(a) + g(b)       calls f first: operands are evaluated from left to right, as in Koord
 
@@ -155,7 +155,7 @@ def assume_motion(s: Step) -> bool:
 
 
 def surely_assume_motion(b: Any) -> Any:
-    """Enough for it, of many moments at once."""
+    """Screening of many observations at once: where this is true, the formula holds."""
     return b.either(
         b.in_rect(
             b.each("Motion.position'", 0), b.each("Motion.position", 0), b.each("Motion.target", 0)

@@ -1,4 +1,4 @@
-"""Runs this robot: `python3 <this folder>`, see README.md."""
+"""Start of this robot: `python3 <this folder>`, see README.md."""
 
 import sys
 from pathlib import Path

@@ -1,8 +1,8 @@
 """lineform: the Koord program lineform.koord, compiled by koordgen 0.1.0.
 
-The comment `# line 12` names a line of lineform.koord, which stands beside this file. `s` is what
-an event sees and writes, `my_x` is its own variable `x`. The next build writes this file anew:
-change the Koord program, not this.
+The comment `# line 12` names a line of lineform.koord, in the folder of this file.
+`s` is the state that an event reads and writes; `my_x` is a variable `x` declared in the event.
+The next build overwrites this file: change the Koord program instead.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from koordgen.runtime.values.points import Point
 
 
 class State(Transaction):
-    """What one event of lineform sees on one robot, and what it has written so far."""
+    """State of one robot during one event of lineform, with the writes of the event so far."""
 
     def __init__(self, frame: Frame) -> None:
         super().__init__(frame)

@@ -1,4 +1,4 @@
-"""Runs the whole fleet on this host: `python3 <this folder>`, see README.md."""
+"""Start of the whole fleet on this host: `python3 <this folder>`, see README.md."""
 
 import sys
 from pathlib import Path

@@ -24,10 +24,10 @@ def root(context, missing=missing):
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield '`: '
     yield str((undefined(name='summary') if l_0_summary is missing else l_0_summary))
-    yield ".\n\n```\npython3 -m venv ../venv                                    # once: a virtual environment beside this folder\n../venv/bin/python -m pip install -r requirements.txt      # once\n../venv/bin/python . --duration 30 --seed 1 --out run      # prints where the report is\n```\n\n`agents/` holds the robots' own bundles, byte for byte"
+    yield '.\n\n```\npython3 -m venv ../venv                                    # once: a virtual environment beside this folder\n../venv/bin/python -m pip install -r requirements.txt      # once\n../venv/bin/python . --duration 30 --seed 1 --out run      # prints the path of the report\n```\n\n`agents/` contains the bundles of the robots, byte for byte'
     if (not (undefined(name='robots') if l_0_robots is missing else l_0_robots)):
         pass
-        yield '; built without a fleet file, so there is no\n`scenario.json` that says which robots there are: build with `--fleet FILE`'
+        yield '. This bundle was built without a fleet file, so it has\nno `scenario.json` with the robots: build with `--fleet FILE`'
     yield '.\n'
     for (l_1_name, l_1_target) in (undefined(name='robots') if l_0_robots is missing else l_0_robots):
         _loop_vars = {}

@@ -12,7 +12,7 @@ def root(context, missing=missing):
     l_0_name = resolve('name')
     l_0_drivers = resolve('drivers')
     pass
-    yield '"""Runs this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.native import protocol\n\n        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported\n        from koordgen.runtime.agent.process import main\n        from program import PROGRAM\n'
+    yield '"""Start of this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.native import protocol\n\n        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported\n        from koordgen.runtime.agent.process import main\n        from program import PROGRAM\n'
     if (undefined(name='properties') if l_0_properties is missing else l_0_properties):
         pass
         yield '        from properties import PROPERTIES\n'

@@ -10,7 +10,7 @@ def root(context, missing=missing):
     l_0_module = resolve('module')
     l_0_name = resolve('name')
     pass
-    yield '"""Runs the whole fleet on this host: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    try:\n        from '
+    yield '"""Start of the whole fleet on this host: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    try:\n        from '
     yield str((undefined(name='module') if l_0_module is missing else l_0_module))
     yield ' import '
     yield str((undefined(name='name') if l_0_name is missing else l_0_name))

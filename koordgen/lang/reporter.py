@@ -1,4 +1,4 @@
-"""Diagnostics of one program while its checks collect them."""
+"""Collector of the diagnostics of one program during its checks."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from koordgen.lang.diagnostics import Diagnostic, Label, Severity
 from koordgen.lang.source import Source, Span
 
 
-class Findings:
-    """Diagnostics in the order in which they were found, and the text that they are about."""
+class Reporter:
+    """Collector of diagnostics in the order of their reports, with the source that they are about."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -30,10 +30,10 @@ class Findings:
         self.report("warning", code, message, span, help, labels)
 
     def has_errors(self, since: int = 0) -> bool:
-        """Return whether an error was found, of all but the first `since` diagnostics."""
+        """Return whether an error was reported, not counting the first `since` diagnostics."""
         return any(diagnostic.severity == "error" for diagnostic in self.found[since:])
 
     def text(self, span: Span) -> str:
-        """Return what the user wrote at a place, as far as its first line goes."""
+        """Return the source text of a span, up to the end of its first line."""
         line = self.source.line(span.line)
         return line[span.column - 1 : span.end_column - 1] if span.end_line == span.line else line[span.column - 1 :]

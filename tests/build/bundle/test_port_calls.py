@@ -1,4 +1,4 @@
-"""Port calls of an event against the time of a round: the worst case, told at the call."""
+"""Time of port calls against that of a round: the worst case, reported at the call."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.build.bundle.calls import check_calls, planner_budget
+from koordgen.build.bundle.port_calls import check_calls, planner_budget
 from koordgen.cli import main
 from tests.build.emit.generated import MOTION, checked
 
@@ -16,7 +16,7 @@ CALL = "Motion.path = Motion.planner(Point(1, 0, 0))"
 
 
 def calls(body: str, declared: str = "") -> str:
-    """The arithmetic that is told of an event, in a fleet of 4 robots, without the rest; empty when nothing is."""
+    """Return the arithmetic in the warning of an event, in a fleet of 4 robots; "" without a warning."""
     lines = "".join(f"    {line}\n" for line in body.split("\n"))
     program = checked(f"{MOTION}{declared}E:\n  pre: True\n  eff:\n{lines}")
     found = check_calls(program, 4, 0.1, 0.01)
@@ -64,12 +64,11 @@ def test_it_is_told_at_the_call_and_how_to_mend_it() -> None:
     (found,) = check_calls(checked(text), 4, 0.1, 0.01)
     assert (found.span.line, found.span.column) == (13, 38)
     assert found.message == (
-        "Look may take too long for a round: it makes up to 8 calls of ports, 8 x 10 ms = 80 ms; "
-        "half of a round is 50 ms"
+        "Look may take longer than half of a round: up to 8 port calls, 8 x 10 ms = 80 ms; half of a round is 50 ms"
     )
     assert found.help == (
-        "5 fit in half of a round of 100 ms: call less often, over a list with a smaller 'max', "
-        "or set planner_budget in the fleet file to 6.25 ms at most if the planner is so quick"
+        "5 calls fit into half of a round of 100 ms: loop over a list with a smaller 'max', "
+        "or set planner_budget in the fleet file to 6.25 ms or less if the planner can keep it"
     )
     assert check_calls(checked(text), 4, 0.2, 0.01) == []
     assert check_calls(checked(text), 4, 0.1, 0.006) == []
@@ -108,7 +107,7 @@ def test_a_build_warns_and_goes_on(format: str, tmp_path: Path, capsys: pytest.C
     assert main([*arguments, "--format", format]) == 0
     out, err = capsys.readouterr()
     if format == "text":
-        assert f"{program}:7:38: warning[B007]: Look may take too long" in err
+        assert f"{program}:7:38: warning[B007]: Look may take longer than half of a round" in err
     elif format == "json":
         assert [d["code"] for d in json.loads(out)["diagnostics"]] == ["B007"]
     else:

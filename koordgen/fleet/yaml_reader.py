@@ -1,7 +1,7 @@
-"""Typed access to YAML in which every value knows its place: getters report each mistake at its line and column.
+"""Typed access to YAML with line numbers: getters report each error at its line and column.
 
-A text is limited in depth and size before it becomes a tree: the parser of libyaml recurses on the C stack, and aliases
-of aliases stand for more values than any memory holds.
+Depth and size of a text are checked before it is parsed into a tree: the parser of libyaml recurses on the C stack, and
+nested aliases can stand for more values than fit into memory.
 """
 
 from __future__ import annotations
@@ -12,31 +12,33 @@ from typing import Any
 
 import yaml
 
-from koordgen.fleet.yaml_mistakes import mistake
+from koordgen.fleet.yaml_errors import mistake
 from koordgen.lang.source import Source, Span
 
-# The C parser of libyaml is ten times faster; wheels of PyYAML have it, some distributions do not.
+# The C parser of libyaml is ten times faster. Wheels of PyYAML contain it; packages of some distributions do not.
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _CONSTRUCT = yaml.constructor.SafeConstructor()
 
-DEEPEST = 100  # collections within one another
-MOST_VALUES = 200_000  # of a text, with those that its aliases stand for
+DEEPEST = 100  # levels of nested lists and tables
+MOST_VALUES = 200_000  # in a text; values of an alias count each time that it is used
 LONGEST_NUMBER = 32  # characters
 
 YamlNode = yaml.Node
 Report = Callable[[str, str, Span, str], None]  # code, message, place, help
 
 
-class Reader:
-    """Typed access to one YAML text. A getter that finds a mistake reports it and returns None: its caller goes on,
-    so that one run tells all mistakes."""
+class YamlReader:
+    """Typed access to one YAML text.
+
+    A getter that finds an error reports it and returns None. The caller continues, so one run reports all errors.
+    """
 
     def __init__(self, source: Source, report: Report) -> None:
         self._source = source
         self._report = report
 
     def document(self) -> YamlNode | None:
-        """The only document of the file."""
+        """Return the root of the file's only document; None after an error."""
         try:
             if self._is_too_large():
                 return None
@@ -46,15 +48,15 @@ class Reader:
             self._report("F001", message, Span(line, column, line, column + 1), help)
             return None
         except RecursionError:
-            self._report("F001", "collections stand within one another too deep", Span(1, 1, 1, 2), "")
+            self._report("F001", "lists and tables are nested too deep", Span(1, 1, 1, 2), "")
             return None
         if node is None:
             self._report("F001", "the file is empty", Span(1, 1, 1, 2), "")
         return node
 
     def _is_too_large(self) -> bool:
-        """Return whether the text exceeds a limit, which is reported then. Raises yaml.YAMLError."""
-        sizes: list[tuple[str | None, int]] = [(None, 0)]  # of the collections around: anchor, values so far
+        """Return whether the text exceeds a limit, and report it. Raises yaml.YAMLError."""
+        sizes: list[tuple[str | None, int]] = [(None, 0)]  # anchor and number of values of each enclosing collection
         anchors: dict[str, int] = {}
         for event in yaml.parse(self._source.text, Loader=_LOADER):
             anchor, size, what = getattr(event, "anchor", None), 0, ""
@@ -65,16 +67,16 @@ class Reader:
             elif isinstance(event, yaml.ScalarEvent):
                 size = 1
             elif isinstance(event, yaml.AliasEvent):
-                size, anchor = anchors.get(str(event.anchor), 0), None  # that of an unknown one is told when composing
+                size, anchor = anchors.get(str(event.anchor), 0), None  # `compose` reports an undefined alias
                 if event.anchor in [around for around, _ in sizes]:
-                    what = f"*{event.anchor} stands within its own value"
+                    what = f"the alias *{event.anchor} is a part of its own value"
             if anchor is not None and size:
                 anchors[anchor] = size
             sizes[-1] = sizes[-1][0], sizes[-1][1] + size
             if len(sizes) > DEEPEST + 1:
-                what = f"collections stand within one another more than {DEEPEST} deep"
+                what = f"lists and tables are nested more than {DEEPEST} deep"
             elif sizes[-1][1] > MOST_VALUES:
-                what = f"it has more than {MOST_VALUES:,} values, with those that aliases stand for"
+                what = f"the file has more than {MOST_VALUES:,} values, with those of its aliases"
             if what:
                 mark = event.start_mark
                 line, column = (mark.line + 1, mark.column + 1) if mark else (1, 1)
@@ -83,9 +85,9 @@ class Reader:
         return False
 
     def report(self, code: str, message: str, node: YamlNode, help: str = "") -> None:
-        """A mistake of the caller's own finding, at a node's place."""
+        """Report an error that the caller found, at the place of a node."""
         start, end = node.start_mark, node.end_mark
-        if end.line != start.line:  # a block: point at its first line only
+        if end.line != start.line:  # for a block, point at its first line only
             end_line, end_column = start.line, max(start.column + 1, len(self._source.line(start.line + 1)))
         else:
             end_line, end_column = end.line, max(end.column, start.column + 1)
@@ -94,7 +96,7 @@ class Reader:
     def table(
         self, node: YamlNode | None, what: str, required: Iterable[str], optional: Iterable[str]
     ) -> dict[str, YamlNode]:
-        """The values of a mapping by key; unknown, repeated and missing keys are reported."""
+        """Return the values of a mapping by key. Unknown, repeated and missing keys are reported."""
         found: dict[str, YamlNode] = {}
         if node is None:
             return found
@@ -102,16 +104,17 @@ class Reader:
             self.report("F004", f"{what} must be a mapping (key: value)", node)
             return found
         known = [*required, *optional]
-        meant = set()  # a misspelt key is one mistake, not also a missing one
+        meant = set()  # guesses for misspelt keys, which are not reported as missing as well
         for key_node, value in node.value:
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
             if key not in known:
                 guess = _nearest(str(key), known)
                 meant.add(guess)
-                help = f"did you mean {guess!r}?" if guess else f"known here: {', '.join(sorted(known)) or 'nothing'}"
+                names = ", ".join(sorted(known)) or "none"
+                help = f"did you mean {guess!r}?" if guess else f"possible keys: {names}"
                 self.report("F002", f"unknown key {key!r} in {what}", key_node, help)
             elif key in found:
-                self.report("F006", f"{key!r} stands twice in {what}", key_node)
+                self.report("F006", f"{key!r} appears twice in {what}", key_node, "remove one of the two")
             else:
                 found[key] = value
         for key in required:
@@ -120,7 +123,7 @@ class Reader:
         return found
 
     def items(self, node: YamlNode | None, what: str) -> list[YamlNode]:
-        """The elements of a sequence."""
+        """Return the elements of a list."""
         if node is None:
             return []
         if not isinstance(node, yaml.SequenceNode):
@@ -129,7 +132,7 @@ class Reader:
         return list(node.value)
 
     def scalar(self, node: YamlNode | None, what: str, kind: type) -> Any:
-        """A string, bool, int or float (an int serves as float; NaN and infinity never do)."""
+        """Return a text, bool, int or float. An int is accepted as a float; NaN and infinity are not."""
         if node is None:
             return None
         value = _constructed(node)
@@ -144,7 +147,7 @@ class Reader:
     def number(
         self, node: YamlNode | None, what: str, least: float | None, most: float | None, kind: type = float
     ) -> Any:
-        """A number within [least, most]; None bounds nothing."""
+        """Return a number within [least, most]; None stands for no bound."""
         value = self.scalar(node, what, kind)
         if value is None or node is None:
             return None
@@ -161,15 +164,15 @@ class Reader:
         return value
 
     def choice(self, node: YamlNode | None, what: str, known: tuple[str, ...]) -> str | None:
-        """One of these texts."""
+        """Return a text that is one of `known`."""
         text: str | None = self.scalar(node, what, str)
         if text is None or node is None or text in known:
             return text
-        self.report("F005", f"{what} is {text!r}", node, f"there are: {', '.join(known)}")
+        self.report("F005", f"{what} cannot be {text!r}", node, f"possible values: {', '.join(known)}")
         return None
 
     def vector(self, node: YamlNode | None, what: str) -> list[float] | None:
-        """Three metres, [x, y, z] in local ENU."""
+        """Return a point [x, y, z] in metres, local ENU."""
         if node is None:
             return None
         elements = self.items(node, what)
@@ -181,7 +184,7 @@ class Reader:
         return values if None not in values else None
 
     def plain(self, node: YamlNode, what: str) -> Any:
-        """A value of whatever form: lists, tables, and scalars that are no dates and no null."""
+        """Return a value of any structure: lists, tables, numbers, bools and texts; dates and null are errors."""
         if isinstance(node, yaml.SequenceNode):
             return [self.plain(item, what) for item in node.value]
         if isinstance(node, yaml.MappingNode):
@@ -189,14 +192,16 @@ class Reader:
             return {key if not isinstance(key, (list, dict)) else str(key): value for key, value in pairs}
         value = _constructed(node)
         if type(value) not in _KIND_WORDS:
-            self.report("F004", f"{what} must be a number, a bool, a text, or lists and tables of these", node)
+            self.report("F004", f"{what} must be a number, a bool, a text, or a list or table of these", node)
             return ""
         return value
 
 
 def _constructed(node: YamlNode) -> Any:
-    """The value of a scalar, None of anything else. Numbers that are too long are none, nor are those to the base of
-    60, which YAML 1.1 takes `1:30` for."""
+    """Return the value of a scalar; None for other nodes, for too long numbers and for numbers to the base of 60.
+
+    YAML 1.1 reads `1:30` as such a number.
+    """
     if not isinstance(node, yaml.ScalarNode):
         return None
     is_number = node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")

@@ -1,4 +1,4 @@
-"""Whether the targets offer the ports that a program uses: told at the `using` line, before anything is built."""
+"""Port check: reports ports of the program that a target does not offer, at their `using` block."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from koordgen.lang.node import replace
 
 
 def check_ports(program: Program, targets: Iterable[Target], driven: Container[str] = ()) -> list[Diagnostic]:
-    """One diagnostic for each module or port that an agent target lacks or offers as something else; modules that are
-    `driven` have drivers, and streams are everyone's."""
+    """Return a diagnostic for each module or port that an agent target does not offer in the declared form.
+
+    Not checked: modules in `driven`, which have drivers, and streams, which every target offers.
+    """
     agents = [t for t in targets if t.kind == "agent"]
     modules = [m for m in program.modules if m.name not in driven and any(p.direction != "stream" for p in m.ports)]
     return [d for module in modules for target in agents for d in _module(module, target)]
@@ -23,7 +25,7 @@ def _module(module: Module, target: Target) -> Iterator[Diagnostic]:
     if module.name not in target.modules:
         offered = ", ".join(sorted(target.modules))
         message = f"target {target.name} offers no module {module.name}"
-        help = f"it offers: {offered}; a driver for another is named under 'modules:' in the fleet file"
+        help = f"it offers: {offered}; for another module, name a driver under 'modules:' in the fleet file"
         yield Diagnostic("B001", "error", message, module.span, help=help)
         return
     for port in module.ports:
@@ -33,15 +35,22 @@ def _module(module: Module, target: Target) -> Iterator[Diagnostic]:
 
 
 def _meaning(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]:
-    """What the program does not declare may be cleared or not."""
+    """Compare the meaning of a port in the program with that of the target.
+
+    Sensors that the program does not declare are left out of the target's `clears` before the comparison.
+    """
     offered, known = target.meanings[f"{module.name}.{port.name}"], {p.name for p in module.ports}
     meant, wanted = (
         replace(meaning, clears=tuple(sorted([name for name in meaning.clears if name in known])))
         for meaning in (port.meaning, offered)
     )
     if meant != wanted:
-        message = f"target {target.name} offers {port.type} {module.name}.{port.name} {spelled(wanted)}".rstrip()
-        help = f"behind its name stands '{spelled(meant)}' here" if meant != NO_MEANING else "here nothing is said"
+        message = f"target {target.name} declares {port.type} {module.name}.{port.name} {spelled(wanted)}".rstrip()
+        written = f"'{spelled(meant)}'" if meant != NO_MEANING else "nothing"
+        if wanted == NO_MEANING:
+            help = f"the program has {written} after its name: remove it"
+        else:
+            help = f"the program has {written} after its name: write '{spelled(wanted)}' there"
         yield Diagnostic("B010", "error", message, port.span, help=help)
 
 
@@ -57,11 +66,11 @@ def _port(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]:
         yield from _meaning(module, port, target)
         return
     if name in same:
-        message = f"{name} is of type {same[name]} on target {target.name}, not {port.type}"
-        yield Diagnostic("B003", "error", message, port.span)
+        message = f"{name} has type {same[name]} on target {target.name}, but {port.type} in the program"
+        yield Diagnostic("B003", "error", message, port.span, help=f"declare it as {same[name]}")
     elif other is not None:
-        message = f"{name} is {_KINDS[other]} on target {target.name}, not {kind}"
-        yield Diagnostic("B002", "error", message, port.span)
+        message = f"{name} is {_KINDS[other]} on target {target.name}, but {kind} in the program"
+        yield Diagnostic("B002", "error", message, port.span, help=f"declare it as {_KINDS[other]}")
     else:
         offered = ", ".join(sorted(n for n in same if n.startswith(f"{module.name}."))) or "none"
         message = f"target {target.name} offers no {kind.partition(' ')[2]} {name}"

@@ -1,4 +1,4 @@
-"""Whether an event's port calls leave time for the rest of its round: a warning, with the arithmetic in the message."""
+"""Time of port calls: warns if the calls of one event may take more than half of a round."""
 
 from __future__ import annotations
 
@@ -13,51 +13,57 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import MapOf, PerRobot, Sequence
 from koordgen.lang.node import Node
 
-SHORTEST, LONGEST = 0.01, 0.06  # seconds: the default of `planner_budget` is between these
-SHARE = 0.4  # of a round for all calls of an event: writes are due after half of it, and the event does more than plan
+SHORTEST, LONGEST = 0.01, 0.06  # seconds: bounds of the default of `planner_budget`
+SHARE = 0.4  # of a round, for all calls of an event: writes are due after 0.5, and the event has other work too
 
-Found = list[tuple[expr.PortCall, float]]  # each call, and how often it is made at most
-_AS_LONG = ("sorted", "reversed", "keys", "values", "items")  # as what they are of
+Calls = list[tuple[expr.PortCall, float]]  # each call with the greatest number of times that an event makes it
+_AS_LONG = ("sorted", "reversed", "keys", "values", "items")  # results are as long as the argument
 
 
 def check_calls(program: Program, robots: int, delta: float, budget: float) -> list[Diagnostic]:
-    """A warning for each event whose port calls, `budget` seconds each, may take more than half of a round of `delta`
-    seconds; it stands at the call that is made most often."""
-    counting = _Counting(program, robots)
+    """Return a warning for each event whose port calls may take more than half of a round.
+
+    `delta`: seconds of a round. `budget`: seconds of one call. The warning points at the most frequent call.
+    """
+    counting = _CallCounter(program, robots)
     return [d for event in program.events for d in _check(event, counting.block(event.effect, 1), delta, budget)]
 
 
 def planner_budget(program: Program, robots: int, delta: float, given: float | None) -> float:
-    """Return the seconds that each call of a port may take: `given` by the fleet file, else what leaves every event in
-    time for its round."""
+    """Return the seconds that each call of a port may take.
+
+    `given` is the value of the fleet file. Without it: SHARE of a round, divided among the calls of the event with
+    most calls, within SHORTEST and LONGEST.
+    """
     if given is not None:
         return given
-    counting = _Counting(program, robots)
+    counting = _CallCounter(program, robots)
     most = max((_number(counting.block(event.effect, 1)) for event in program.events), default=0)
     return round(max(SHORTEST, min(LONGEST, SHARE * delta / max(most, 1))), 4)
 
 
-def _check(event: Event, found: Found, delta: float, budget: float) -> Iterator[Diagnostic]:
+def _check(event: Event, found: Calls, delta: float, budget: float) -> Iterator[Diagnostic]:
     number = _number(found)
     if number * budget <= delta / 2 + 1e-9:
         return
     call, _ = min(found, key=lambda each: (-each[1], each[0].span.line, each[0].span.column))
     port = f"{call.module}.{call.port}"
     if number == inf:
-        message = f"{event.name} calls {port} in a loop without a visible bound, {_ms(budget)} each time"
+        message = f"{event.name} calls {port} in a loop without a visible bound; each call may take {_ms(budget)}"
     else:
         sum_ = f"{number:g} x {_ms(budget)} = {_ms(number * budget)}"
-        message = f"{event.name} may take too long for a round: it makes up to {number:g} calls of ports, {sum_}"
+        message = f"{event.name} may take longer than half of a round: up to {number:g} port calls, {sum_}"
     fits = int(delta / 2 / budget + 1e-9)
-    help = f"{fits} fit in half of a round of {_ms(delta)}: call less often, over a list with a smaller 'max'"
+    calls = f"{fits} calls fit" if fits != 1 else "1 call fits"
+    help = f"{calls} into half of a round of {_ms(delta)}: loop over a list with a smaller 'max'"
     if number < inf:
         quick = _ms(delta / 2 / number)
-        help += f", or set planner_budget in the fleet file to {quick} at most if the planner is so quick"
+        help += f", or set planner_budget in the fleet file to {quick} or less if the planner can keep it"
     message += f"; half of a round is {_ms(delta / 2)}"
     yield Diagnostic("B007", "warning", message, call.span, help=help)
 
 
-def _number(found: Found) -> float:
+def _number(found: Calls) -> float:
     return sum(times for _, times in found)
 
 
@@ -65,17 +71,17 @@ def _ms(seconds: float) -> str:
     return f"{seconds * 1e3:.4g} ms" if seconds < 10 else f"{seconds:.0f} s"
 
 
-class _Counting:
-    """The most calls that a block can make. What ends a loop early is not looked at."""
+class _CallCounter:
+    """Upper bound of the port calls of a block. `break`, `return` and `stop` are ignored, which only adds calls."""
 
     def __init__(self, program: Program, robots: int) -> None:
         self.params = {p.name: p.default for p in program.params}
         self.robots = robots
 
-    def block(self, block: stmt.Block, times: float) -> Found:
+    def block(self, block: stmt.Block, times: float) -> Calls:
         return [call for statement in block for call in self.statement(statement, times)] if times else []
 
-    def statement(self, statement: stmt.Stmt, times: float) -> Found:
+    def statement(self, statement: stmt.Stmt, times: float) -> Calls:
         match statement:
             case stmt.If(condition, then, orelse):
                 ways = self.block(then, times), self.block(orelse, times)
@@ -92,10 +98,10 @@ class _Counting:
                 assert_never(statement)
 
     def turns(self, values: expr.Expr) -> float:
-        """How often a loop over it turns at most."""
+        """Return the greatest number of turns of a loop over `values`."""
         match values:
             case expr.Range(start, stop, step):
-                low, high = self.whole(start), self.whole(stop)
+                low, high = self.constant(start), self.constant(stop)
                 if high is None and step > 0 and isinstance(stop, expr.Builtin) and stop.name == "len":
                     return max(0, -(-(self.turns(stop.args[0]) - (low or 0)) // step))
                 return inf if low is None or high is None else len(range(low, high, step))
@@ -104,7 +110,7 @@ class _Counting:
             case expr.Make(items):
                 return len(items)
             case expr.Slice(operand, _, stop):
-                end = None if stop is None else self.whole(stop)
+                end = None if stop is None else self.constant(stop)
                 return min(self.turns(operand), inf if end is None else max(0, end))
             case expr.Builtin(name, (of, *_)) if name in _AS_LONG:
                 return self.turns(of)
@@ -113,22 +119,22 @@ class _Counting:
                 most = held.capacity if isinstance(held, (Sequence, MapOf)) else inf
                 return self.robots if isinstance(held, PerRobot) else most
 
-    def whole(self, node: expr.Expr) -> int | None:
-        """The value of what is constant in a build, None of other ints."""
+    def constant(self, node: expr.Expr) -> int | None:
+        """Return the value of an int that is constant in this build, else None."""
         match node:
             case expr.Const(int(value)):
                 return value
             case expr.ParamRead(name):
-                return self.whole(self.params[name])
+                return self.constant(self.params[name])
             case expr.NSys():
                 return self.robots
             case expr.Unary("-", operand):
-                value_ = self.whole(operand)
+                value_ = self.constant(operand)
                 return None if value_ is None else -value_
             case _:
                 return None
 
 
-def _calls(root: Node, times: float) -> Found:
-    """All calls in an expression or a statement without blocks."""
+def _calls(root: Node, times: float) -> Calls:
+    """Return the port calls in an expression, or in a statement without blocks."""
     return [(node, times) for node in walk(root) if isinstance(node, expr.PortCall)]

@@ -1,9 +1,11 @@
-"""Formulas -> Python over arrays, for many moments at once: a condition that is enough for the formula to hold.
+"""Screening: formulas -> Python over arrays, a sufficient condition for many observations at once.
 
-Not exact, and need not be: comparisons of floats leave a margin, so what is surely so is so by the exact formula, too,
-whatever the arrays round; where it is not, the exact one is asked. What may have no value has no such form, nor has
-what needs more than numbers, Points and truth values: then there is none for the whole formula. A comparison that meets
-NaN is never sure, so it matters only where another one would do instead.
+An under-approximation: comparisons of floats keep a margin, so where the screening is true, the exact formula is true,
+whatever the arrays round. Where it is false, the exact formula is evaluated.
+
+A formula has no screening if a part may have no value, or needs more than numbers, Points and truth values. A
+comparison with NaN is false in a screening; if another operand could make the screening true all the same, the formula
+has no screening either.
 """
 
 from __future__ import annotations
@@ -19,45 +21,45 @@ _NUMBERS = (INT, FLOAT)
 _OPPOSITE = {">": "<=", ">=": "<", "<": ">=", "<=": ">", "==": "!=", "!=": "=="}
 
 
-class _Beyond(Exception):
-    """There is no such form."""
+class _Unsupported(Exception):
+    """Raised if a formula has no screening."""
 
 
 def text(formula: ir.Expr, names: Names) -> str:
-    """The expression, over what is called `b`, which has the arrays; empty when there is none."""
+    """Return the screening of an invariant; its batch of arrays is called `b`. Empty if there is none."""
     return _attempted(formula, {}, names)
 
 
 def text_of_each(formula: ir.Expr, names: Names) -> str:
-    """The same of an assumption, for all robots at once: they are along the first axis."""
+    """Return the screening of an assumption for all robots at once, which are along the first axis; empty if none."""
     return _attempted(formula, {"": 0}, names)
 
 
 def _attempted(formula: ir.Expr, axes: dict[str, int], names: Names) -> str:
     apart = names.attempt()
     try:
-        found = _sure(formula, True, axes, apart)
-    except _Beyond:
+        found = _screened(formula, True, axes, apart)
+    except _Unsupported:
         return ""
     names.used |= apart.used
     return found
 
 
-def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> str:
-    """That a condition surely is what is wanted. `axes`: of each quantified robot."""
+def _screened(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> str:
+    """Return a condition that is true only if `node` is `wanted`. `axes`: the array axis of each quantified robot."""
     match node:
         case ir.Unary("not", operand):
-            return _sure(operand, not wanted, axes, names)
+            return _screened(operand, not wanted, axes, names)
         case ir.Logic(op, left, right):
             both = (op == "and") == wanted
             if not both and may_meet_nan(left):
-                raise _Beyond
-            parts = [_sure(left, wanted, axes, names), _sure(right, wanted, axes, names)]
+                raise _Unsupported
+            parts = [_screened(left, wanted, axes, names), _screened(right, wanted, axes, names)]
             return brackets(f"b.{'both' if both else 'either'}(", parts, ")")
         case ir.Quantified(kind, name, ir.Ids(), body):
             if (kind == "exists") == wanted and may_meet_nan(body):
-                raise _Beyond
-            inner = _sure(body, wanted, {**axes, name: len(axes)}, names)
+                raise _Unsupported
+            inner = _screened(body, wanted, {**axes, name: len(axes)}, names)
             return brackets(f"b.{'every' if (kind == 'forall') == wanted else 'some'}(", [str(len(axes)), inner], ")")
         case ir.Compare(op, left, right):
             return _compared(op if wanted else _OPPOSITE[op], left, right, axes, names)
@@ -68,7 +70,7 @@ def _sure(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -> st
             shown = _value(node, axes, names)
             return shown if wanted else brackets("b.no(", [shown], ")")
         case _:
-            raise _Beyond
+            raise _Unsupported
 
 
 def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], names: Names) -> str:
@@ -79,7 +81,7 @@ def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], name
         case _ if left.type == BOOL and op in ("==", "!="):
             return chain(brackets("(", [first], ")"), joined(f"{op} ", brackets("(", [second], ")")))
         case _ if left.type not in _NUMBERS or op == "==":
-            raise _Beyond  # no margin makes it sure
+            raise _Unsupported  # no margin makes it sound
         case _ if op == "!=":
             return brackets("b.apart(", [first, second], ")")
         case _:
@@ -87,7 +89,7 @@ def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], name
 
 
 def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
-    """A number, Point or truth value that cannot fail."""
+    """Return the array expression of a number, Point or truth value that always has a value."""
     match node:
         case ir.Const(value) if node.type in (*_NUMBERS, BOOL):
             return exact.literal(value) if not isinstance(value, (int, float)) or value >= 0 else f"({value!r})"
@@ -129,7 +131,7 @@ def _made(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
         case ir.Builtin("distance" | "Point" as name, args):
             return brackets(f"b.{name.lower()}(", [_value(arg, axes, names) for arg in args], ")")
         case _:
-            raise _Beyond
+            raise _Unsupported
 
 
 def _plain(type_: Type) -> bool:
@@ -139,4 +141,4 @@ def _plain(type_: Type) -> bool:
 def _axis(robot: ir.Expr, axes: dict[str, int]) -> int:
     if isinstance(robot, ir.TempRead) and robot.name in axes:
         return axes[robot.name]
-    raise _Beyond
+    raise _Unsupported

@@ -1,4 +1,4 @@
-"""What one robot can tell of a property is the same whether it asks for the others or, where that is vain, does not."""
+"""Own-instance evaluation: a robot's verdict on a property is the same with and without asking for other robots."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_which_formulas_each_robot_tells_for_itself_alone(formula: str, alone: b
 
 
 def compare(seed: int, seen: Counter[str]) -> None:
-    """One robot's knowledge, asked as if it might know all, and as what it is."""
+    """Evaluate one robot's knowledge in two ways: over all robots, and over its own instance."""
     program = with_formulas(seed)
     verify(program)
     generated = Generated(program, program_text(program))
