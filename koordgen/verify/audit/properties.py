@@ -40,7 +40,7 @@ class GeneratedProperties:
         if program.externs:
             if functions is None or not functions.is_file():
                 missing = functions or f"{functions_module(program)}.py"
-                raise CannotCall(f"{missing}, which has the extern functions, is not there")
+                raise CannotCall(f"{missing}, the file with the extern functions, does not exist")
             load(program, functions)
         module = sys.modules["audited"] = ModuleType("audited")  # annotations of records are resolved in it
         self._scope: dict[str, Any] = vars(module)

@@ -26,7 +26,9 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
     if not program.externs:
         return {}
     if file is None or not file.is_file():
-        raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
+        raise CannotCall(
+            f"{file or functions_module(program) + '.py'}, the file with the extern functions, does not exist"
+        )
     load(program, file)
     names = Names(program)
     module = sys.modules["replayed"] = ModuleType("replayed")  # annotations of records are resolved in it
