@@ -84,7 +84,7 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
 
 def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
     """Return one robot's files of the mission that record a round, in the order of their rounds."""
-    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.tells))
+    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.has_rounds))
 
 
 def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:

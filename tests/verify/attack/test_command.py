@@ -153,7 +153,7 @@ def test_a_file_of_another_program_is_refused(folder: Path, forged: None, capsys
     name = contradicted(folder, capsys)
     assert main(["prove", written(RIGHT), "--attack-from", name]) == 1
     said = capsys.readouterr().err
-    assert "it was written for another program" in said and "help: name the very program" in said
+    assert "the file was written for another program" in said and "help: name exactly the program" in said
 
 
 def test_a_trial_that_contradicts_nothing_says_so(
