@@ -42,11 +42,11 @@ MOST_ROBOTS = 100  # largest number of robots in one run
 KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # keys that are copied from the user's fleet file
 WEATHER = ("floor_friction", "wind")  # keys that are copied from the `world` of the user's fleet file
 PROGRAM = """\
-# A probe: each robot runs up towards a first target, and then gets the one on its way to which it is looked at.
+# Probe: each robot moves towards a first target, and then gets a second one. Its path to the second one is observed.
 
 param List<Point> first max 128 = []
-param List<Point> shift max 128 = []  # from where it is then to the second
-param List<int> last max 128 = []  # round
+param List<Point> shift max 128 = []  # vector from the robot to the second target
+param List<int> last max 128 = []  # round in which the second target is given
 
 using {module}:
   sensors: Point {position} as position

@@ -56,8 +56,7 @@ TRIES = 12  # attempts to draw one initial state
 ROUNDS = 6  # length of one random walk, in rounds
 ORDERS = 150  # largest number of steps that are run in one round from one state of a model
 VARIED_ORDERS = 8  # largest number of steps that are run in one round from a variation of a known state
-# number of runs of an event that one state of a model is expected to give, before the solver is asked again
-MODEL_RUNS = 60
+MODEL_RUNS = 60  # runs of an event that one state of a model should give before the solver is asked again
 SKIPS = 0.15  # probability that a robot skips its event in a round of a random walk
 STALE = 400  # number of units of work without a new state after which the attack ends
 FIRST = 0.4  # share of the budget that is used before the solver is asked

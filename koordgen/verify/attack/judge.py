@@ -34,8 +34,9 @@ WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
 # Begins the message about a fault that, according to the checker's proof, cannot occur.
 PROVED_RIGHT = "proved to have a value, but: "
-# Faults of operations for which `(well-defined)` promises a value, as the semantics words them. Capacities, 64 bits,
-# turns of loops, `ensures` and ports discard events as well, but are not promised.
+# Beginnings of the semantics' messages about faults that `(well-defined)` excludes. An event may also be discarded
+# because of a capacity, the range of 64-bit ints, the number of loop iterations, an `ensures` or a port.
+# `(well-defined)` does not exclude these faults.
 COVERED = (
     "index ", "a slice from", "what is looked for is not there", "the map has no such key",
     "math domain error", "an int to the power of a negative one",
@@ -173,7 +174,7 @@ class TrialJudge:
             if self.ports.lacking or not is_covered(fault.reason):
                 self.reasons[key] = self.ports.lacking or fault.reason
                 return None
-            return VerdictBreach(property_.name, f"it has no value: {fault}")
+            return VerdictBreach(property_.name, f"the invariant has no value: {fault}")
         except (NotExact, NoMeaning, InternalError) as error:
             self.reasons[key] = str(error)
             return None

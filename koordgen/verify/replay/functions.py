@@ -38,9 +38,10 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
 
 
 def load(program: decl.Program, file: Path) -> None:
-    """the explicit loader accepts a file with any suffix"""
+    """Import the user's file as the module name that generated code imports. Raises CannotCall."""
     name = functions_module(program)
-    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))  # with any suffix
+    # The explicit loader accepts a file with any suffix.
+    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = util.module_from_spec(spec)
     sys.path.insert(0, str(file.parent))

@@ -149,7 +149,7 @@ class Replay:
         actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
         done = execute(self.program, self.program.init, state, self.pid, self._world(record))
         if isinstance(done, Discarded):
-            yield Difference(line.number, 0, self.pid, "init", "it ran", f"it is discarded: {done}")
+            yield Difference(line.number, 0, self.pid, "init", "it ran", f"init is discarded: {done}")
         else:
             meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
             yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
