@@ -95,7 +95,7 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
 
 def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
     """Return one robot's trace files that record rounds of the mission, in the order of the rounds."""
-    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.tells))
+    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.has_rounds))
 
 
 def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
