@@ -2,4 +2,4 @@
 
 Owns: phases from start to safe stop, joining, rounds, output commit, persistence.
 Offers: `process.main`, which a bundle's `__main__` calls, and `Agent` to simulators.
-Must not import: targets. It may import all rooms of the runtime."""
+Must not import: targets. It may import all packages of the runtime."""

@@ -108,7 +108,7 @@ def counterexample(side: Formula, bad: Formula, values: tuple[Linear, ...], a: A
 
 
 def _is_given(name: object, a: Analysis) -> bool:
-    """Return whether an example can choose the value of a variable."""
+    """Return whether examples choose the value of a variable freely: of `pid`, `N_SYS` or a param in `a.defaults`."""
     return isinstance(name, str) and (name in (PID, N_SYS) or name in a.defaults)
 
 
