@@ -23,7 +23,7 @@ def analyze_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[dec
     found: list[tuple[decl.Event, Atomic | None]] = []
     earlier: list[AnalysedEvent] = []
     by_condition: dict[str, list[AnalysedEvent]] = {}  # `earlier`, by the least condition of each guard
-    transactions = "atomic" in a.source.text  # a quick test, to avoid a search in each event
+    transactions = "atomic" in a.source.text  # without this word in the text, no event is searched
     for event in written:
         atomic = _first_atomic(event) if transactions else None
         analyzed = _event(event, atomic is not None, earlier, by_condition, a)

@@ -1,4 +1,4 @@
-"""Declarations of names.
+"""Assignment of names to their declarations, with errors for names that are declared twice or predefined.
 
 Variables, params, modules, functions, records and extern types share one namespace.
 """

@@ -56,7 +56,7 @@ class Analysis(Reporter):
         self.enter("constant")
 
     def enter(self, place: Section) -> None:
-        """Begin the analysis of a section, at which no facts are known."""
+        """Begin the analysis of a section: reset the attributes that belong to one section."""
         self.place: Section = place
         self.path: Path | None = Path()  # None: this point is unreachable
         self.guard: Condition | None = None

@@ -75,7 +75,7 @@ def _default(name: str, a: Analysis) -> list[Formula]:
 
 
 def is_refuted(bad: Formula, a: Analysis) -> bool:
-    """Return whether `bad`, which makes an index or a divisor wrong, cannot hold here.
+    """Return whether `bad`, which makes an index or a divisor wrong, cannot hold at the current point.
 
     In an effect the condition is also saved in `a.sites`, for `opposite_guard`.
     """
@@ -87,7 +87,7 @@ def is_refuted(bad: Formula, a: Analysis) -> bool:
 
 
 def is_impossible(condition: Formula, a: Analysis) -> bool:
-    """Return whether a condition cannot hold here."""
+    """Return whether a condition cannot hold at the current point."""
     assert a.flow is not None
     return unsat((*a.flow.relevant(names_of(condition)), condition))
 
