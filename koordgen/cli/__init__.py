@@ -1,4 +1,4 @@
-"""Command line: the only room that prints and exits. Each command imports only what it needs.
+"""Command line: the only package that prints and exits. Each command imports only what it needs.
 
 Owns: the table of commands, their options, exit statuses, error messages with their help.
 Offers: `main`.

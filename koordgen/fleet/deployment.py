@@ -12,7 +12,7 @@ from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.node import Node
 
 SERVICES = ("systemd", "none")
-WHEELS = ("index", "host")  # or the path of a folder
+WHEELS = ("index", "host")  # sources of Python wheels; the setting may also be the path of a folder
 _LOGIN = re.compile(
     r"([A-Za-z_][A-Za-z0-9_.-]{0,31})@([A-Za-z0-9][A-Za-z0-9.-]{0,252}|\[[0-9A-Fa-f:.]+\])(?::(\d{1,5}))?"
 )

@@ -20,7 +20,7 @@ _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _CONSTRUCT = yaml.constructor.SafeConstructor()
 
 DEEPEST = 100  # levels of nested lists and tables
-MOST_VALUES = 200_000  # in a text; values of an alias count each time that it is used
+MOST_VALUES = 200_000  # limit on the values in a text; the values of an alias count each time the alias is used
 LONGEST_NUMBER = 32  # characters
 
 YamlNode = yaml.Node

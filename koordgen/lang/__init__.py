@@ -2,5 +2,5 @@
 
 Owns: sources and spans, diagnostics, syntax, IR, checks, analysis, semantics, format.
 Offers: `syntax.parse.parse`, `analyze.program.check`, the IR, `semantics.step`.
-Must not import: any other room except the values and property classes of the runtime.
+Must not import: any other package except the values and property classes of the runtime.
 """

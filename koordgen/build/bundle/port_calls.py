@@ -55,7 +55,7 @@ def _check(event: Event, found: Calls, delta: float, budget: float) -> Iterator[
         message = f"{event.name} may take longer than half of a round: up to {number:g} port calls, {sum_}"
     fits = int(delta / 2 / budget + 1e-9)
     calls = f"{fits} calls fit" if fits != 1 else "1 call fits"
-    help = f"{calls} into half of a round of {_ms(delta)}: loop over a list with a smaller 'max'"
+    help = f"{calls} into half of a round of {_ms(delta)}: loop over a list that is declared with a smaller 'max'"
     if number < inf:
         quick = _ms(delta / 2 / number)
         help += f", or set planner_budget in the fleet file to {quick} or less if the planner can keep it"

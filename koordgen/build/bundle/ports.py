@@ -48,9 +48,9 @@ def _meaning(module: Module, port: Port, target: Target) -> Iterator[Diagnostic]
         message = f"target {target.name} declares {port.type} {module.name}.{port.name} {spelled(wanted)}".rstrip()
         written = f"'{spelled(meant)}'" if meant != NO_MEANING else "nothing"
         if wanted == NO_MEANING:
-            help = f"the program has {written} after its name: remove it"
+            help = f"the program has {written} after the port's name: remove it"
         else:
-            help = f"the program has {written} after its name: write '{spelled(wanted)}' there"
+            help = f"the program has {written} after the port's name: write '{spelled(wanted)}' there"
         yield Diagnostic("B010", "error", message, port.span, help=help)
 
 

@@ -1,4 +1,4 @@
-"""Library of generated programs: their imports, and the comments that explain its functions at the head of a module."""
+"""Imports of generated modules, and the comments at a module's head that explain the functions it uses."""
 
 from __future__ import annotations
 

@@ -2,5 +2,5 @@
 
 Owns: the options, the output and the exit status of each.
 Offers: one module for each command.
-Must not import: other commands' rooms.
+Must not import: packages of other commands.
 """

@@ -1,4 +1,4 @@
-"""Analysis of events: the guard's facts hold in the effect; rules find events that can never run."""
+"""Analysis of events: what the guard implies is known in the effect; rules find events that can never run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def analyze_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[dec
     found: list[tuple[decl.Event, Atomic | None]] = []
     earlier: list[AnalysedEvent] = []
     by_condition: dict[str, list[AnalysedEvent]] = {}  # `earlier`, by the least condition of each guard
-    transactions = "atomic" in a.source.text  # a quick test, to avoid a search in each event
+    transactions = "atomic" in a.source.text  # without this word in the text, no event is searched
     for event in written:
         atomic = _first_atomic(event) if transactions else None
         analyzed = _event(event, atomic is not None, earlier, by_condition, a)
@@ -76,10 +76,10 @@ def _event(
 def _events_with_priority(
     event: decl.Event, transaction: bool, earlier: Sequence[AnalysedEvent]
 ) -> list[AnalysedEvent]:
-    """Return the earlier events of the `priority:` block whose guards must be false where this event runs.
+    """Return the earlier events of the `priority:` block whose guards are certainly false when this event runs.
 
-    Guards are evaluated at the round's start. A transaction sees the shared variables as they are now, so for it the
-    guards that read shared variables are left out.
+    Guards are evaluated on the state at the round's start. The effect of a transaction sees newer values of the shared
+    variables, so for a transaction the events whose guards read shared variables are left out.
     """
     if event.priority is None:
         return []
@@ -92,15 +92,16 @@ def _reads_shared(guard: ir.Expr) -> bool:
 
 
 def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
-    """Return the texts of the conditions that a guard joins by `and`."""
+    """Return the texts of the conditions that a guard joins with 'and'."""
     pending, found = [guard], set[str]()
     while pending:
         node = pending.pop()
         if isinstance(node, ir.Make) and node.type is POISON and isinstance(node.items[0], ir.Logic):
-            node = node.items[0]  # joined by `and`, with an error in one side
+            node = node.items[0]  # the two conditions of an 'and' of which one has an error
         if isinstance(node, ir.Logic) and node.op == "and":
             pending += [node.left, node.right]
         else:
-            spread = node.span.line != node.span.end_line  # only its first line is compared: the number tells it apart
+            # `a.text` has only the first line of a condition. Of a longer condition the line number is compared, too.
+            spread = node.span.line != node.span.end_line
             found.add(f"{a.text(node.span)} {node.span.line if spread else ''}")
     return frozenset(found)

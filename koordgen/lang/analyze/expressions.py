@@ -127,7 +127,7 @@ def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
 
 def _at(node: ir.At, a: Analysis) -> ir.Expr:
     operand, index = analyze_expression(node.operand, a), analyze_expression(node.index, a)
-    if index.span is node.span:  # the index comes from `pop()`, not from the text: see `check/statements/target.py`
+    if index.span is node.span:  # `pop()` added this index: see check/statements/target.py
         proved = node.proved or has_element(operand, a)
     else:
         proved = node.proved or element_proved(operand, index, node.span, a)
@@ -140,7 +140,7 @@ def _slice(node: ir.Slice, a: Analysis) -> ir.Expr:
     found: ir.Slice = _parts(node, a)
     if found.proved:
         return found
-    # A list, not a generator: both ends are checked and reported.
+    # `all` takes a list here, not a generator, so that both ends of the slice are checked and reported.
     ends = [end_proved(end, node.span, a) for end in (found.start, found.stop) if end is not None]
     proved = all(ends)
     return ir.Slice(found.operand, found.start, found.stop, proved, node.type, node.span) if proved else found
@@ -161,7 +161,7 @@ def _builtin(node: ir.Builtin, a: Analysis) -> ir.Expr:
 
 
 _Rule = Callable[[Any, Analysis], ir.Expr]
-# Analysis of each class of node. A class that is missing has no parts and no rule.
+# Function that analyses each class of node. A class that is missing in this table has no parts and no rule.
 _RULES: dict[type, _Rule] = {
     ir.Pid: _pid,
     ir.LocalRead: _local,

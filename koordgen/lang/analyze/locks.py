@@ -20,8 +20,8 @@ def with_locks(
 ) -> tuple[tuple[decl.Event, ...], Groups]:
     """Return the events with their locks, and the groups of shared variables that each lock protects.
 
-    The groups are in the order of the declarations. A transaction without shared variables needs no lock and is treated
-    as a plain event.
+    The groups are in the order of the declarations. A transaction that uses no shared variable needs no lock and is
+    treated as an event that is not atomic.
     """
     used = [_shared_in(event) if atomic else set() for event, atomic in found]
     if not any(used):
@@ -43,7 +43,7 @@ def _shared_in(event: decl.Event) -> set[str]:
 
 
 def _groups(used: list[set[str]], declared: list[str]) -> Groups:
-    """Return groups of variables: those that one transaction uses are in one group (union-find)."""
+    """Return groups of variables; all variables that one transaction uses are in the same group (union-find)."""
     leader = {name: name for names in used for name in names}
 
     def top(name: str) -> str:

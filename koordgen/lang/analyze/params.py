@@ -32,20 +32,20 @@ from koordgen.lang.ir.types import (
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 
-# Values as YAML and JSON load them.
+# Type of the values that the parsers of YAML and JSON return.
 Value = int | float | bool | str | list["Value"] | dict["Value", "Value"]
 
 
 class BadParam(Exception):
-    """A value that does not fit its param, or a name that is no param; the message says which."""
+    """Raised if a value does not fit its param, or if a name is no param of the program."""
 
 
 def with_params(program: Program, values: Mapping[str, Value]) -> Program:
     """Return the program with these values as the defaults of its params. Raises BadParam.
 
-    Values are numbers, booleans and strings; [x, y, z] in metres for a Point, [position, yaw] for a Pose, [x, y, size]
-    for a Grid; lists for List, Queue, Set and tuples; a dict, or a list of pairs, for a Map; a dict by field name for a
-    record, whose missing fields keep their initial values.
+    Accepted values are numbers, booleans and strings; [x, y, z] in metres for a Point, [position, yaw] for a Pose, and
+    [x, y, size] for a Grid; lists for List, Queue, Set and tuples; a dict, or a list of pairs, for a Map; a dict by
+    field name for a record, whose missing fields keep their initial values.
     """
     declared = {p.name: p for p in program.params}
     for name in values:
@@ -67,9 +67,9 @@ def with_params(program: Program, values: Mapping[str, Value]) -> Program:
 
 
 def as_given(value: Value, type_: Type) -> Value:
-    """Convert a value from a trace to the form that `with_params` takes.
+    """Convert a value from a trace to the form that `with_params` accepts.
 
-    In a trace a record is a list of the values of its fields.
+    In a trace a record is written as a list of the values of its fields.
     """
     match type_, value:
         case RecordType(_, fields), list():
@@ -111,7 +111,7 @@ def parse_value(text: str) -> Value:
 class _Reader:
     """Converter of values to constants of the IR.
 
-    `what` names the part of the param: `param tasks[2].target`.
+    In messages, `what` names the part of the param that is converted: `param tasks[2].target`.
     """
 
     def __init__(self, records: Mapping[str, Record], span: Span) -> None:
@@ -199,7 +199,7 @@ class _Reader:
 
 
 def wrong_type(what: str, type_: Type, value: Value) -> BadParam:
-    """Return the error for a value of the wrong type; it says how to write a value of that type."""
+    """Return the error for a value of the wrong type. Its message shows how to write a value of the right type."""
     form = _form(type_)
     return BadParam(f"{what} is of type {type_}{form and f', written {form}'}; {value!r} does not fit")
 

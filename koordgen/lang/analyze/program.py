@@ -1,7 +1,7 @@
-"""Both checks of a program: names and types, which yield IR with drafts, then the analysis of this IR.
+"""Both checks of a program: the first resolves names and types and produces IR, the second analyses this IR.
 
-The analysis also runs after errors of the first check, on the parts that have a type. Rules that few programs need are
-imported on demand, because their import takes long compared with a check.
+The second check also runs after errors of the first, on the parts of the program that have a type. Rules that few
+programs need are imported on demand, because importing them takes long compared with the time of a check.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, li
 
 
 def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Program:
-    """Analyse a program with drafts and return it without them."""
+    """Analyse a program that still has draft nodes (`ir.draft`), and return it without draft nodes."""
     records = tuple([_record(record, a) for record in program.records])
     params = tuple([replace(p, default=_initial_value(p.name, p.default, p.type, a)) for p in program.params])
     shared = tuple([replace(v, initial=_initial_value(v.name, v.initial, v.type, a)) for v in program.shared])

@@ -1,4 +1,4 @@
-"""Analysis of statements: facts before and after each statement, and the rules applied there."""
+"""Analysis of statements: computes the facts known before and after each statement, and applies rules to it."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import BOOL, POISON
 
-MOST_LOOPS = 4  # nesting of loops; in deeper loops no invariants are searched for
+MOST_LOOPS = 4  # in loops that are nested more deeply, no loop invariants are searched
 _DOUBTS = frozenset(("K030", "K031", "K032", "K033", "K034"))
 
 
 def analyze_block(block: Sequence[draft.Draft], a: Analysis) -> stmt.Block:
-    """Analyse a block and return its statements without drafts.
+    """Analyse a block and return its statements without draft nodes (`ir.draft`).
 
-    Sets `a.path` to None if its end is unreachable.
+    Sets `a.path` to None if the end of the block is unreachable.
     """
     analyzed: list[stmt.Stmt] = []
     reported = a.path is None
@@ -53,7 +53,7 @@ def analyze_block(block: Sequence[draft.Draft], a: Analysis) -> stmt.Block:
 
 
 def _is_poisoned(statement: stmt.Stmt) -> bool:
-    """Return whether a statement has no meaning because of an error in it."""
+    """Return whether a statement has no known effect because it contains an error that is already reported."""
     match statement:
         case stmt.Assign(value=value) | stmt.Let(value=value) | stmt.Return(value) | stmt.For(values=value):
             return value.type is POISON
@@ -90,14 +90,14 @@ def _statement(statement: draft.Draft, a: Analysis) -> stmt.Stmt | None:
             for part in parts:
                 analyze_expression(part, a)
         case draft.UnparsedStmt():
-            a.poisoned = True  # its effect is unknown, so indices and divisors after it are not checked
+            a.poisoned = True  # the effect is unknown, so later indices and divisors are not checked
         case draft.Atomic():
             pass
     return None
 
 
 def _assign_fact(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
-    """Update the facts for `place = value`: drop those about the place, and add its new value if known."""
+    """Update the facts for `place = value`: drop facts about the old value, and add the new value if known."""
     if a.path is not None:
         a.path = a.path.assigning(place, value)
 
@@ -124,7 +124,8 @@ def _assign(node: stmt.Assign, a: Analysis) -> stmt.Stmt | None:
 def _if(node: stmt.If, a: Analysis) -> stmt.If:
     """Analyse `if`.
 
-    The condition is a fact in `then`, its negation in `orelse`; after both, common facts remain.
+    The condition is known to hold in `then`, and its negation in `orelse`. After the statement, only the facts remain
+    that are known at the ends of both branches.
     """
     mentioned = a.mentioned.copy()
     condition = analyze_expression(node.condition, a)
@@ -186,7 +187,7 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
 
 
 def _written_name(temp: str, head: str) -> str:
-    """Return the name of a loop's variable in the text; its temp may have a numbered name."""
+    """Return the name of a loop's variable in the program's text; in the IR it may have a number appended."""
     name = re.sub(r"_\d+$", "", temp)
     return temp if re.search(rf"\b{temp}\b", head) else name
 
@@ -227,8 +228,8 @@ def _while(node: stmt.While, a: Analysis) -> stmt.While:
 def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tuple[stmt.LoopInvariant, ...]:
     """Analyse the invariants of a loop, without checks of their indices and divisors.
 
-    Monitors report an invariant that has no value. Its reads of shared variables do not count for lost updates, because
-    no write depends on them.
+    These checks are not needed, because monitors report an invariant that has no value when the program runs. An
+    invariant's reads of shared variables do not count for the rule on lost updates, because no write depends on them.
     """
     if not invariants:
         return ()
@@ -240,9 +241,9 @@ def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tupl
 
 
 def _changed(block: stmt.Block) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the variables that a loop's block may change, and those of them that keep their lengths.
+    """Return two sets: the variables that a loop's block may change, and those whose lengths it does not change.
 
-    Both are sets of names in a Flow.
+    The variables are named as in a Flow.
     """
     found = list(writes(block))
     changed = frozenset([name for name, _ in found])
@@ -258,8 +259,9 @@ def _counting(
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
     """Return `first`, `next`, `last`, `counter` and `stop` of `LoopModel` for a loop over a range or over ID.
 
-    The first three set the loop's variable to its first, next and last value; an unknown value may be any. `stop` is
-    the first value that the variable does not take, known only if it counts up.
+    The functions `first`, `next` and `last` set the loop's variable to its first, next and last value; of an unknown
+    value no facts are known. `stop` is the first value that the variable does not take. It is None if it is unknown;
+    it can be known only for a variable that counts up.
     """
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)
@@ -284,7 +286,10 @@ def _counting(
 
 
 def _values_as_conditions(flow: Flow, name: str) -> Flow:
-    """Turn known values that depend on a variable into conditions, which a step of the variable can shift."""
+    """Convert each known value `other = f(name)` to a condition, which remains usable when `name` changes.
+
+    A change of the variable `name` by a step drops known values that depend on it, but shifts conditions on it.
+    """
     for other, (value, about) in flow.values.items():
         if name in about and isinstance(value, linear.Linear) and not other.startswith("len "):
             flow = flow.assuming(linear.equal(linear.variable(other), value))
@@ -297,8 +302,8 @@ def _iteration(
 ) -> stmt.Block:  # fmt: skip
     """Analyse the block of a loop.
 
-    If an index or a divisor in it may be wrong, search for conditions that hold in each iteration, and analyse the
-    block again with these facts.
+    If an index or a divisor in the block may be wrong, search for conditions that hold at the start of each iteration,
+    and analyse the block again with these conditions as facts.
     """
     if head is not None:
         a.flow = enter(head)
@@ -319,7 +324,7 @@ def _iteration(
 def _point_after_loop(model: LoopModel, invariants: tuple[stmt.LoopInvariant, ...], condition: ir.Expr | None) -> Path:
     """Return the point after a loop.
 
-    Its facts, which need a search for loop invariants, are computed on demand.
+    The facts at this point are computed on demand, because they need a search for loop invariants.
     """
 
     def known() -> Flow:

@@ -29,22 +29,23 @@ from koordgen.lang.source import Span
 from koordgen.lang.syntax import expr as ast
 
 NUMBERS = (INT, FLOAT)
-# Checker of each class of syntax tree node; expr.py fills it. A table, because dispatch takes most of a check's time.
+# Checker function of each class of expression in the syntax tree; expr.py fills this table. A look-up in a table is
+# fast, which matters because dispatch takes most of the time of a check.
 CHECKERS: dict[type, Callable[[Any, Context, Type | None], ir.Expr]] = {}
 _DISPLAYS = frozenset((ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tuple))
 
 
 def check_expr(node: ast.Expr, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Return the typed expression, of type POISON if it is wrong; the mistake is then already reported.
+    """Return the typed form of an expression. Its type is POISON if it is wrong; the error is then already reported.
 
-    `wanted` is the type that the context expects, if it is known. It gives empty displays their type and turns ints in
-    displays into floats. It is a hint: the result may be of another type.
+    `wanted` is the type that the context expects, if that is known. It gives an empty display, such as `[]`, its type,
+    and converts ints in a display to floats. `wanted` is only a hint: the result may be of another type.
     """
     return CHECKERS[type(node)](node, c, wanted)
 
 
 def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
-    """Check an expression that must be a bool; `what` names it in the message."""
+    """Check an expression that must be a bool; `what` names the expression in the message of an error."""
     checked = CHECKERS[type(node)](node, c, None)
     if checked.type is BOOL or checked.type is POISON:
         return checked
@@ -59,7 +60,10 @@ def condition(node: ast.Expr, c: Context, what: str) -> ir.Expr:
 
 
 def help_for_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
-    """Return the help for a value where a bool is expected; with `op` `==`, for its negation."""
+    """Return the help for a value of another type where a bool is expected.
+
+    The help suggests a comparison with `op`: `!=` for the value itself, `==` for its negation.
+    """
     type_, text = value.type, c.text(value.span)
     if type_ in NUMBERS:
         return f"compare it: '{text} {op} 0'"
@@ -85,7 +89,7 @@ def widened(value: ir.Expr, type_: Type) -> ir.Expr:
 
 
 def converted(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
-    """Return the value converted to a type; report a mismatch, which yields poison."""
+    """Return the value converted to a type. If the types do not match, report this and return poison."""
     found = value.type
     if found is type_ or found is POISON or type_ is POISON:
         return value
@@ -99,7 +103,7 @@ def converted(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
 def converted_argument(value: ir.Expr, type_: Type, what: str, c: Context) -> ir.Expr:
     """Return an argument converted to its parameter's type.
 
-    An allread variable as a whole passes as a list.
+    An allread variable without an index, which has a value for each robot, is accepted where a List is expected.
     """
     found = value.type
     listed = isinstance(found, PerRobot) and isinstance(type_, Sequence) and type_.name == "List"
@@ -151,7 +155,7 @@ def with_article(type_: Type) -> str:
 
 
 def default(type_: Type, span: Span, c: Context) -> ir.Expr:
-    """Return the initial value of a variable that is declared without one."""
+    """Return the initial value of a variable whose declaration gives no initial value."""
     match type_:
         case RecordType(name, fields):
             record = c.entities.get(name)
@@ -181,7 +185,7 @@ def default(type_: Type, span: Span, c: Context) -> ir.Expr:
 def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | ast.MapDisplay | ast.Tuple]:
     """Return whether an expression is a display (`[a]`, `{a}`, `{a: b}`, `(a, b)`).
 
-    Its context decides its type.
+    The type of a display depends on the type that its context expects.
     """
     return type(node) in _DISPLAYS
 

@@ -30,13 +30,14 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import stmt as tree
 
-# A Function's block is empty until its body has been checked; other bodies need its signature only.
+# Declaration that a name refers to. The block of a Function is empty until its body has been checked; the checks of
+# other bodies need only the function's signature.
 Entity = Param | Module | Shared | Local | Record | ExternType | Function | ExternFunction | SpecFunction
 PREDEFINED = ("pid", "N_SYS", "ID", *FUNCTIONS, *CONSTANTS, *NAMED, *GENERIC, "range", "Queue", "Set", "Map")
 
 
 class Temp(Node):
-    """Variable of a block, loop or quantifier, or a parameter. `unique` is its name in the IR."""
+    """Temp: a variable of a block, loop or quantifier, or a parameter. `unique` is its name in the IR."""
 
     unique: str
     type: Type
@@ -46,8 +47,8 @@ class Temp(Node):
 class LoopEntry:
     """Start of a loop, to which `old(...)` in the loop's invariants refers.
 
-    `temps_before` has the temps that exist before the loop, by their names in the IR. `values` has, for each variable
-    in an `old(...)`, the declaration that saves its value before the loop.
+    `temps_before` is the set of the temps that exist before the loop, by their names in the IR. `values` maps each
+    variable in an `old(...)` to the declaration that saves the variable's value before the loop.
     """
 
     def __init__(self, temps_before: frozenset[str]) -> None:
@@ -68,7 +69,7 @@ class Context(Reporter):
         self.enter("constant")
 
     def enter(self, place: Section) -> None:
-        """Begin a section, without temps."""
+        """Begin the check of a section: reset the attributes that belong to one section."""
         self.place: Section = place
         self.scopes: list[dict[str, Temp]] = [{}]
         self.minted: set[str] = set()
@@ -83,9 +84,9 @@ class Context(Reporter):
 
     @cached_property
     def broken(self) -> frozenset[str]:
-        """Names in text that could not be parsed.
+        """Names that occur in text that could not be parsed.
 
-        It may declare them, so their uses are not reported as undefined.
+        This text may declare the names, so their uses are not reported as undefined.
         """
         from koordgen.lang.syntax.walk import broken_names
 
@@ -94,21 +95,27 @@ class Context(Reporter):
     def error(
         self, code: str, message: str, span: Span, help: str = "", labels: tuple[Label, ...] = (), *parts: Expr
     ) -> Expr:
-        """Report an error and return poison.
+        """Report an error and return poison, an expression that causes no further errors.
 
-        `parts` are its subexpressions, which later analysis still checks.
+        `parts` are subexpressions of the wrong expression, which the second check still analyses.
         """
         self.report("error", code, message, span, help, labels)
         return self.poison(span, *parts)
 
     def report_old_spelling(self, old: str, new: str, span: Span, edits: tuple[Edit, ...] | None = None) -> None:
-        """Report a spelling of the 2020 dialect. `edits` modernise it; by default `new` replaces the span."""
+        """Report a spelling of the 2020 dialect, with edits that modernise it.
+
+        By default, the edit replaces the text at `span` by `new`.
+        """
         edits = (Edit(span, new),) if edits is None else edits
         message = f"{old} is the 2020 dialect's spelling of {new}"
         self.found.append(Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites it", edits))
 
     def poison(self, span: Span, *parts: Expr) -> Expr:
-        """Return poison: an expression whose error is reported. Later analysis still checks its `parts`."""
+        """Return poison: an expression whose error is already reported.
+
+        The second check still analyses its subexpressions `parts`.
+        """
         return Make(parts, POISON, span) if parts else Const(0, POISON, span)
 
     def temp(self, name: str) -> Temp | None:
@@ -119,7 +126,7 @@ class Context(Reporter):
         return None
 
     def mint(self, name: str) -> str:
-        """Return a new name, which no other temp of this section has."""
+        """Return a name in the IR for a new temp, different from the names of all other temps of this section."""
         unique, number = name, 2
         while unique in self.minted:
             unique, number = f"{name}_{number}", number + 1
@@ -146,15 +153,18 @@ class Context(Reporter):
 # Blocks of statements: dispatch.
 
 Out = list[Draft]  # output of a statement's check: one statement may become several
-# Checker of each class of syntax tree node; stmt.py fills it.
+# Checker function of each class of statement in the syntax tree; stmt.py and invariant.py fill this table.
 STATEMENTS: dict[type, Callable[[Any, Context, Out], None]] = {}
 
 
 def check_block(block: tree.Block, c: Context) -> stmt.Block:
-    """Check a block and return its statements, drafts included. Its declarations end with it."""
+    """Check a block and return its statements, with draft nodes (`ir.draft`) among them.
+
+    The names that the block declares end with the block.
+    """
     c.scopes.append({})
     checked: Out = []
     for statement in block:
         STATEMENTS[type(statement)](statement, c, checked)
     c.scopes.pop()
-    return cast(stmt.Block, tuple(checked))  # the analysis removes the drafts
+    return cast(stmt.Block, tuple(checked))  # the second check removes draft nodes

@@ -6,14 +6,14 @@ from collections.abc import Iterable, Iterator, Mapping
 
 
 def topological_order(edges: Mapping[str, Iterable[str]]) -> tuple[list[str], list[list[str]]]:
-    """Return all names, each after the names that it points to, and cycles: `[a, b]` for a -> b -> a.
+    """Return all names in topological order, and cycles of the graph: `[a, b]` for a -> b -> a.
 
-    At least one cycle is returned if there is one; of cycles that share names, some may be left out. Edges to names
-    that are not keys are ignored.
+    Each name comes after the names that its edges point to. If the graph has cycles, at least one is returned; if
+    several cycles share names, some of them may be left out. Edges to names that are not keys are ignored.
     """
     done: list[str] = []
     cycles: list[list[str]] = []
-    depth: dict[str, int] = {}  # index of each name on the path from a root; -1: done
+    depth: dict[str, int] = {}  # index of each name on the current path from a root; -1: name is in `done`
     caught: set[str] = set()
     for root in edges:
         if root in depth:

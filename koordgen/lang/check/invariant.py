@@ -1,4 +1,4 @@
-"""Loop invariants: their position, the names that they read, and `old(x)`, a value before the loop."""
+"""Checks of loop invariants: their position, the names that they read, and `old(x)`, the value before the loop."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from koordgen.lang.syntax import stmt as tree
 
 Invariants = tuple[stmt.LoopInvariant, ...]
 
-_HEAD = "write it as the first lines of the block of 'for' or 'while'"
-_LEAST = "it is also evaluated after the last iteration, when there is no element: loop over range(len(...))"
+_HEAD = "write the invariant first in the block of 'for' or 'while'"
+_LEAST = "an invariant is also evaluated after the last iteration, without an element: loop over range(len(...))"
 
 
 def split_invariants(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
     """Split a loop's block into the invariants at its head and the other statements.
 
-    A line that could not be parsed does not end the head: it may be an invariant.
+    The head of a block is its first lines, as long as they are invariants. A line that could not be parsed does not end
+    the head, because the line may be an invariant.
     """
     head = (tree.Invariant, tree.BrokenStmt)
     count = next((i for i, statement in enumerate(block) if not isinstance(statement, head)), len(block))
@@ -33,10 +34,10 @@ def split_invariants(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tre
 def check_invariants(
     written: tuple[tree.Invariant, ...], c: Context, out: Out, hidden: tuple[str, ...] = (), own: tuple[str, ...] = ()
 ) -> Invariants:
-    """Return the typed invariants of a loop. Appends a `Let` for each `old(x)` to `out`, before the loop.
+    """Return the typed invariants of a loop.
 
-    `hidden` has the loop's temps that no invariant may read. `own` has the temps that begin with the loop, and so have
-    no old value.
+    For each `old(x)`, appends to `out` a `Let` that saves the value of `x` before the loop. `hidden` lists the loop's
+    temps that no invariant may read. `own` lists the temps that the loop declares; they have no value before the loop.
     """
     if not written:
         return ()
@@ -66,16 +67,16 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
     Returns a read of the temp that saves the value of `x` before the loop.
     """
     if c.entry is None:
-        help = "elsewhere, save the value in a variable: int before = x"
+        help = "outside of loop invariants, save the value in a variable: int before = x"
         return c.error("K058", "'old' can only be used in loop invariants", node.span, help)
     if len(node.args) != 1 or isinstance(node.args[0], ast.Keyword):
-        return c.error("K014", f"old takes 1 argument, not {len(node.args)}", node.span, "old(variable)")
+        return c.error("K014", f"'old' takes 1 argument, not {len(node.args)}", node.span, "old(variable)")
     read = check_expr(node.args[0], c)
     if read.type is POISON:
         return c.poison(node.span)
     text = c.text(read.span)
     if isinstance(read, ir.TempRead) and read.name not in c.entry.temps_before:
-        help = "old takes a variable that is declared before the loop"
+        help = "'old' takes a variable that is declared before the loop"
         return c.error("K058", f"{text} has no value where the loop begins", node.span, help)
     match read:
         case ir.LocalRead(name) | ir.TempRead(name) | ir.SharedRead(name) | ir.SlotRead(name, ir.Pid()):
@@ -85,8 +86,8 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
         case _:
             name = ""
     if not name or isinstance(read.type, PerRobot):
-        help = "write a part of it after the brackets: old(xs)[i], old(p).x"
-        return c.error("K058", f"old takes a variable of this robot or a shared one, not {text}", node.span, help)
+        help = "to read a part of a variable, write its index or field after the brackets: old(xs)[i], old(p).x"
+        return c.error("K058", f"'old' takes a variable of this robot or a shared one, not {text}", node.span, help)
     let = c.entry.values.get(read)
     if let is None:
         let = c.entry.values[read] = stmt.Let(c.mint(f"old_{name}"), read.type, read, node.span)
@@ -95,7 +96,7 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
 
 def report_port_call(name: str, node: ast.Call, c: Context) -> ir.Expr:
     """Report a call of a port in a loop invariant."""
-    help = f"call it before the loop and save the answer: ... = {name}(...)"
+    help = f"call {name} before the loop and save the answer: ... = {name}(...)"
     return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
 
 

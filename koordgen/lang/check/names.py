@@ -1,4 +1,4 @@
-"""Declarations of names.
+"""Assignment of names to their declarations, with errors for names that are declared twice or predefined.
 
 Variables, params, modules, functions, records and extern types share one namespace.
 """
@@ -19,22 +19,23 @@ Owner = (
 
 
 def claim_names(program: ast.Program, c: Context) -> None:
-    """Give each name to its first declaration in the text, and report every further one.
+    """Assign each name to its first declaration in the text, and report every further declaration of the name.
 
-    If two declarations of a name differ, or the name is predefined, its uses are ambiguous and are not reported.
+    If two declarations of a name differ, or the name is predefined, uses of the name are ambiguous, and no errors about
+    them are reported.
     """
-    kinds: dict[str, str] = {}  # of the variables
+    kinds: dict[str, str] = {}  # name of a variable -> its kind: local, allread or allwrite
     for section in program.sections:
         match section:
             case ast.Variables(kind, variables):
                 for variable in variables:
-                    if not isinstance(variable.type, BrokenType):  # the parser only guessed its name
+                    if not isinstance(variable.type, BrokenType):  # else the parser only guessed the variable's name
                         _claim(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):
                     _claim(name, section, "", kinds, c)
             case ast.Event(name):
-                c.owners[f"event {name}"] = section  # it may share its name with a variable
+                c.owners[f"event {name}"] = section  # an event and a variable may have the same name
             case ast.Priority(events):
                 for event in events:
                     c.owners[f"event {event.name}"] = event
@@ -63,8 +64,8 @@ def _claim(name: str, node: Owner, kind: str, kinds: dict[str, str], c: Context)
 def is_reserved(name: str) -> bool:
     """Return whether a name is reserved: no declaration may have it.
 
-    Names of builtin functions are free, as in Python, because 2020 programs have variables called `sum`. Names of types
-    are reserved, also where they make values, as `Point` does.
+    Names of builtin functions are not reserved, as in Python, because programs of the 2020 dialect have variables
+    called `sum`. Names of types are reserved, even if they are called like functions, as `Point` is.
     """
     return name in PREDEFINED and not (name in FUNCTIONS and name.islower())
 
@@ -75,15 +76,18 @@ def is_owner(name: str, node: Owner, c: Context) -> bool:
 
 
 def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
-    """Record a declaration's entity if the name belongs to it. None: the declaration is wrong."""
+    """Record the entity that a declaration defines, if the name belongs to this declaration.
+
+    The entity is None if the declaration is wrong.
+    """
     if c.owners.get(name) is node and c.entities.get(name, c) is not None:
         c.entities[name] = entity
 
 
 def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
-    """Return whether a name is new in a namespace of its own, such as a record's fields.
+    """Return whether a name occurs for the first time in `seen`, such as the fields of one record.
 
-    If it is not, this is reported.
+    A second use of the name is reported as an error.
     """
     first = seen.setdefault(name, span)
     if first is span:

@@ -14,7 +14,7 @@ from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
 from koordgen.lang.syntax.walk import parts
 
-_PLANNER_ARGUMENTS = (POINT, list_of(GRID))  # types of the arguments of a PathPlanner
+_PLANNER_ARGUMENTS = (POINT, list_of(GRID))  # types of the arguments of a PathPlanner: goal, obstacles
 
 
 def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Property, ...]:
@@ -34,9 +34,8 @@ def properties(sections: Iterable[ast.Property], c: Context) -> tuple[decl.Prope
 def bind_goal(name: str, span: Span, c: Context) -> Temp | None:
     """Bind an undefined name that an assumption passes to a callable port of its module.
 
-    Returns None if it does not.
-
-    From then on the name stands for every value that the port takes in this place.
+    Returns None if the assumption does not pass the name to such a port. The assumption holds for every value of the
+    argument's type in place of the bound name.
     """
     module = c.entities.get(c.module)
     if not isinstance(module, decl.Module) or c.program is None:
@@ -54,9 +53,10 @@ def bind_goal(name: str, span: Span, c: Context) -> Temp | None:
 
 
 def bind_any_value(name: str, span: Span, c: Context) -> Temp | None:
-    """Bind an undefined name that an axiom passes to a function of the program; None if it does not.
+    """Bind an undefined name that an axiom passes to a function of the program.
 
-    From then on the name stands for every value of the parameter's type.
+    Returns None if the axiom does not pass the name to a function. The axiom states its formula for every value of the
+    parameter's type in place of the bound name.
     """
     if c.program is None:
         return None
@@ -73,7 +73,7 @@ def bind_any_value(name: str, span: Span, c: Context) -> Temp | None:
 
 
 def _parameter_types(node: object, name: str, c: Context) -> Iterator[Type]:
-    """Yield the type of each function parameter for which a name is passed that no quantifier binds."""
+    """Yield the type of each function parameter to which the expression passes `name`, unless a quantifier binds it."""
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain
     if isinstance(node, tree.Call) and isinstance(node.function, tree.Name):
@@ -87,9 +87,9 @@ def _parameter_types(node: object, name: str, c: Context) -> Iterator[Type]:
 
 
 def _argument_indices(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
-    """Yield the index of each argument of the module's callable ports that is this name.
+    """Yield the index of each argument of the module's callable ports that consists of `name`.
 
-    Occurrences that a quantifier binds are left out.
+    Occurrences of the name that a quantifier binds are left out.
     """
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain

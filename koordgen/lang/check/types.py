@@ -1,4 +1,4 @@
-"""Types of the syntax tree to types of the IR, and the capacities of variables."""
+"""Translation of types in the syntax tree to types of the IR, with the capacities of variables."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _MEANT = {
     "list": "List", "dict": "Map", "tuple": "(A, B)", "Tuple": "(A, B)",
 }  # fmt: skip
 _LOCAL = {"string": LOCAL_BYTES, "GridMap": LOCAL_CELLS, "Scan": LOCAL_RAYS}
-_DEEPEST = 20  # nesting of types
+_DEEPEST = 20  # limit on the nesting of types
 
 
 def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
@@ -127,7 +127,7 @@ def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context,
 
 
 def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, depth: int) -> Type:
-    """Resolve `T[]` of the 2020 dialect, with a single note for its brackets and old type names."""
+    """Resolve the list type `T[]` of the 2020 dialect. One note reports its brackets and its old type names."""
     type_ = dialect_element(element, c, depth)
     if type_ == POISON:
         return POISON
@@ -137,7 +137,7 @@ def _dialect_list(node: tree.GenericType, element: tree.TypeExpr, c: Context, de
 
 
 def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
-    """Resolve the T of a `T[]`, without notes: the note about the whole type covers them."""
+    """Resolve the type T in `T[]`. Old spellings in T are not reported: the note about the whole type covers them."""
     before = len(c.found)
     type_ = _resolve(element, c, depth)
     c.found[before:] = [d for d in c.found[before:] if d.code != "K050"]
@@ -145,7 +145,7 @@ def dialect_element(element: tree.TypeExpr, c: Context, depth: int = 0) -> Type:
 
 
 def is_fleet_size(size: ast.Expr, c: Context) -> bool:
-    """Return whether the size of an array is N_SYS. Reports the 2020 dialect's names of it."""
+    """Return whether the size of an array is N_SYS. Reports the names of N_SYS in the 2020 dialect."""
     name = size.name if isinstance(size, ast.Name) else ""
     if name in ("numAgents", "numBots"):
         c.report_old_spelling(name, "N_SYS", size.span)
@@ -153,10 +153,10 @@ def is_fleet_size(size: ast.Expr, c: Context) -> bool:
 
 
 def with_capacities(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
-    """Return the type with its declared capacities, which stand in pre-order.
+    """Return the type with its declared capacities, given from the outermost type to the inner types (pre-order).
 
-    Without declared capacities it has the default ones, of local or of shared variables. Fields of records have their
-    own.
+    Without declared capacities, the type has the default capacities of local variables if `local`, else those of shared
+    variables. The fields of a record keep the capacities that the record declares.
     """
     if not capacities:
         return _sized(type_, None) if local else type_
@@ -187,7 +187,7 @@ def _capacity(node: ast.Expr, c: Context) -> int | None:
 
 
 def _capacity_count(type_: Type) -> int:
-    """Return the number of capacities that a type takes."""
+    """Return the number of capacities that a declaration of this type may give: one for each sized type in it."""
     match type_:
         case Sized():
             return 1
@@ -202,7 +202,7 @@ def _capacity_count(type_: Type) -> int:
 
 
 def _sized(type_: Type, given: Iterator[int] | None) -> Type:
-    """Return the type with the next given capacities.
+    """Return the type with capacities taken from the iterator `given`.
 
     If `given` is None, the capacities are the defaults of local variables.
     """

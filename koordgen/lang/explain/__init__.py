@@ -3,7 +3,7 @@
 Owns: the pages beside this file, one for each initial letter of codes, and `topics.md`. Pages of codes that the
     analysis reports stand beside its rules.
 Offers: `explanation`, `topic`, `show`.
-Must not import: syntax, or any room above it.
+Must not import: syntax, or any package above it.
 """
 
 from __future__ import annotations

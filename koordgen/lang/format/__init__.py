@@ -2,7 +2,7 @@
 
 Owns: spacing, indentation, blank lines, comments, edits that modernise programs.
 Offers: `formatted` and `files.format_file`.
-Must not import: IR, or any room above `lang`.
+Must not import: IR, or any package above `lang`.
 """
 
 from __future__ import annotations

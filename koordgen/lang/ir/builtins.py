@@ -117,7 +117,8 @@ UPDATES: dict[tuple[str, str], str] = {
 #   List pop():  At(xs, len(xs) - 1), popped(xs)     List pop(i): At(xs, i), without(xs, i)
 #   Queue pop(): first(q), without(q, 0)
 
-# The updates as builtins of the IR; programs cannot call them by these names. S is the object's type.
+# Signatures of the builtins of the IR to which updating methods, such as `xs.append(x)`, are translated. Programs
+# cannot call these builtins by name. S stands for the type of the object that is updated.
 S = Scalar("S")
 UPDATE_SIGNATURES: dict[str, tuple[Signature, ...]] = {
     "updated": (_s(list_of(T), INT, T, S),),

@@ -81,11 +81,11 @@ class SpecFunction(Node):
 
 
 class Meaning(Node):
-    """Meaning of a port beside its value. The names are those of sensors of the same module.
+    """Meaning that a declaration gives a port. `held` and `clears` contain names of sensors of the same module.
 
     `is_position`: the sensor, a Point, is the robot's own position.
-    `held`: the sensor whose value the actuator has before its first command, because an actuator without a command
-    holds; "" for the type's default. If the program does not declare this sensor, the value may be any.
+    `held`: the sensor whose value the actuator has before its first command; with "" the actuator has the default value
+    of its type. If the program does not declare this sensor, the actuator may have any value.
     `clears`: bool sensors that are true until the first command, and false after a command of this actuator until the
     robot sets them again. Sensors that the program does not declare are ignored.
     """

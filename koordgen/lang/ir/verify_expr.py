@@ -199,7 +199,7 @@ class Expressions:
         return BOOL
 
     def logic(self, node: expr.Logic) -> Type:
-        require(node.op in ("and", "or"), "the operator is not and or or", node.span)
+        require(node.op in ("and", "or"), "the operator is neither 'and' nor 'or'", node.span)
         self.typed(node.left, BOOL)
         self.typed(node.right, BOOL)
         return BOOL

@@ -1,7 +1,8 @@
-"""Semantics of builtins, methods and updates of values: of all names in koordgen/lang/ir/builtins.py.
+"""Semantics of the builtin functions and methods of Koord, listed in koordgen/lang/ir/builtins.py.
 
-Independent of the robots' library, so that tests can compare the two; only geometry and GridMaps are shared code. All
-functions raise ValueError or ArithmeticError if there is no value; the event is then discarded.
+This code is independent of the library that runs on robots, so that tests can compare the two. Both share only the code
+of geometry and GridMaps. A function whose result does not exist raises ValueError or ArithmeticError; the evaluator
+then discards the event.
 """
 
 from __future__ import annotations
@@ -40,13 +41,16 @@ def part(xs: Any, start: int | None, stop: int | None) -> Any:
 
 
 def comparable(*values: Any) -> None:
-    """Raise NotANumber if one of the values contains NaN, and so cannot be compared."""
+    """Raise NotANumber if one of the values contains NaN, because NaN cannot be compared."""
     if any(map(has_nan, values)):
         raise NotANumber
 
 
 def contains(xs: Any, item: Any) -> bool:
-    """Return `item in xs`, of a list, queue, set, string, region, or a map's keys. Raises NotANumber."""
+    """Return `item in xs`, where `xs` is a list, queue, set, string, region, or a map's keys.
+
+    Raises NotANumber if a value that must be compared contains NaN.
+    """
     comparable(xs, item)
     if isinstance(xs, Rect):
         pairs = ((item.x, xs.a.x, xs.b.x), (item.y, xs.a.y, xs.b.y), (item.z, xs.a.z, xs.b.z))
@@ -54,7 +58,7 @@ def contains(xs: Any, item: Any) -> bool:
     if isinstance(xs, Ball):
         measured = exact.distance if exact.is_exact(item, xs.center) else distance
         apart = measured(item, xs.center)
-        comparable(apart)  # NaN for two points at infinity
+        comparable(apart)  # the distance of two points at infinity is NaN
         return bool(apart <= xs.radius)
     if isinstance(xs, str):
         return item in xs
@@ -62,15 +66,15 @@ def contains(xs: Any, item: Any) -> bool:
 
 
 def set_of(values: List) -> List:
-    """Return the set of these values: ascending, each once."""
+    """Return the set of these values: a tuple in ascending order without duplicates."""
     ordered = sorted(values)
     return tuple([value for i, value in enumerate(ordered) if i == 0 or ordered[i - 1] < value])
 
 
 def map_of(pairs: List) -> List:
-    """Return the map of these pairs, with ascending keys.
+    """Return the map that consists of these pairs of a key and a value, in ascending order of the keys.
 
-    If a key occurs several times, the last pair counts.
+    If a key occurs in several pairs, the last of these pairs is kept.
     """
     found: List = ()
     for key, value in pairs:
@@ -79,7 +83,7 @@ def map_of(pairs: List) -> List:
 
 
 def shown(value: int) -> str:
-    """Return an int as text for a message, with a phrase in place of a very long one."""
+    """Return an int as text for a message; a phrase stands in for an int of more than 64 bits."""
     return str(value) if abs(value) < 2**64 else "an int beyond 64 bits"
 
 
@@ -160,7 +164,7 @@ def _greatest(a: Any, b: Any) -> Any:
 
 
 def _sum(xs: List, zero: Any) -> Any:
-    """Add from left to right, rounding at each step."""
+    """Return the sum of a list's elements, added from left to right; each addition of floats rounds."""
     total = zero
     for x in xs:
         total = total + x
@@ -174,7 +178,10 @@ def _text(value: Any) -> str:
 
 
 def applied(name: str, args: list[Value], zero: Value) -> Value:
-    """Return the result of a builtin for evaluated arguments. `zero` is the default of the result's type."""
+    """Return the result of the builtin function `name` for evaluated arguments.
+
+    `zero` is the zero of the result's type; it is the sum of an empty list.
+    """
     if name in exact.ROUNDING and exact.is_exact(*args):
         return exact.applied(name, args)  # type: ignore[no-any-return]
     value: Value = _sum(items(args[0]), zero) if name == "sum" else MEANINGS[name](*args)
@@ -239,14 +246,15 @@ _CONTAINERS: Mapping[str, Callable[..., Any]] = {
     "map_without": lambda m, key: _without(m, _where([own for own, _ in m], key)),  # type: ignore[arg-type]
 }
 MEANINGS = {**_PLAIN, **_CONTAINERS}
-# Builtins that make a new list, set, map or queue, which costs turns.
+# Builtins that make a new list, set, map or queue. The evaluator charges its size to the event's budget of loop turns.
 MAKING = frozenset(
     ("sorted", "reversed", "updated", "appended", "extended", "inserted", "removed", "without", "popped", "union",
      "intersection", "difference", "set_with", "set_without", "keys", "values", "map_with", "map_without")
 )  # fmt: skip
-# Builtins that compare their arguments or parts of them: NaN in one discards the event.
+# Builtins that compare their arguments or parts of them. If an argument contains NaN, the event is discarded.
 COMPARING = frozenset(("min", "max", "sorted", "index", "count", "removed", "Rect", "Ball"))
-# Builtins that read all elements of their arguments, which costs turns; those in COMPARING do so, too.
+# Builtins that read all elements of their arguments. The evaluator charges the number of elements to the event's budget
+# of loop turns. It charges for the builtins in COMPARING in the same way.
 SEARCHING = frozenset(("sum", "union", "intersection", "difference"))
-# Builtins that make a new GridMap, which costs turns.
+# Builtins that make a new GridMap. The evaluator charges its size to the event's budget of loop turns.
 MAPPING = frozenset(("GridMap", "mark_free", "mark_occupied"))

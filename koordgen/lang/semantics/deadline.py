@@ -1,9 +1,10 @@
-"""Deadlines of runs: a limit of time after which the semantics stops a program, even within an event.
+"""Deadline of a run: the time after which the evaluator stops a program, even in the middle of an event.
 
     with ends(Deadline(time.monotonic, time.monotonic() + 0.25)):
         execute(program, block, state, pid)  # raises OutOfTime
 
-Each turn of an event checks the clock. Without a deadline only the number of turns is limited.
+The evaluator checks the clock at each iteration of a loop and at each call of a function. Without a deadline, only the
+event's budget of loop turns limits how long the event runs.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import NamedTuple
 
 
 class OutOfTime(BaseException):
-    """The run of a program has passed its deadline and has no result.
+    """Signal that the run of a program has passed its deadline and has no result.
 
-    A BaseException, so that no `except Exception` of an extern function or of the evaluator catches it.
+    It derives from BaseException, so that no `except Exception` in an extern function or in the evaluator catches it.
     """
 
 
 class Deadline(NamedTuple):
-    """Deadline of a run: the time `until` of `clock`, in seconds."""
+    """Deadline of a run: it ends when `clock()` exceeds `until`, both in seconds."""
 
     clock: Callable[[], float]
     until: float
@@ -43,7 +44,7 @@ def present() -> Deadline | None:
 
 @contextmanager
 def ends(deadline: Deadline) -> Iterator[None]:
-    """Set a deadline for runs within the `with` block."""
+    """Set a deadline for all runs of programs within the `with` block."""
     token = _present.set(deadline)
     try:
         yield

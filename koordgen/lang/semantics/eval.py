@@ -1,10 +1,11 @@
-"""Semantics of expressions: pure evaluation over the state that one robot sees.
+"""Semantics of expressions: evaluation without side effects over the state that one robot sees.
 
-Numbers are Python's: ints without bound inside an event, floats of 64 bits, `/` a true quotient (of two ints as well),
-`//` and `%` floored with the divisor's sign. An operation without a value (a division by zero, an index out of range, a
-missing key, an int too large for a float) discards the event. NaN and infinity may arise within an event; a comparison
-with NaN discards the event, and so does NaN or infinity in a value that is stored or sent. If a node fails although the
-analysis has proved that it cannot, this is an InternalError of the compiler.
+Numbers behave as in Python: inside an event an int may exceed 64 bits (`numbers.py` limits its size), a float has 64
+bits, `/` gives a true quotient (of two ints as well), `//` rounds down, and the result of `%` has the divisor's sign.
+An operation without a value (a division by zero, an index out of range, a missing key, an int too large for a float)
+discards the event. NaN and infinity may arise within an event; a comparison with NaN discards the event, and so does
+NaN or infinity in a value that is stored or sent. If an operation fails although the analysis has proved that it
+cannot, the compiler has a bug, and the evaluator raises InternalError.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ T = TypeVar("T", bound=HasLength)
 
 
 class Discarded(Exception):
-    """An event is discarded as a whole, for `reason`, at `span`."""
+    """Signal that an event is discarded: none of its writes takes effect. The expression at `span` failed."""
 
     def __init__(self, reason: str, span: Span) -> None:
         super().__init__(f"line {span.line}: {reason}")
@@ -43,17 +44,18 @@ class Discarded(Exception):
 Call = Callable[[str, tuple[Value, ...]], Value]
 Spend = Callable[[int, Span], None]
 MAX_ELEMENTS = 100_000  # elements of a list, set, map or queue, or characters of a string, that an event may make
-ELEMENTS_A_TURN = 100  # elements for the cost of one turn
-PAIRS_A_TURN = 10  # pairs of points of two paths for the cost of one turn
-MOST_COUNTED = 100_000_000  # counting stops at this many elements, which cost more turns than any event has
+ELEMENTS_A_TURN = 100  # reading or making this many elements costs one turn of the event's budget of loop turns
+PAIRS_A_TURN = 10  # comparing this many pairs of points of two paths costs one turn of the event's budget
+MOST_COUNTED = 100_000_000  # elements are counted up to this number, which costs as much as any event's whole budget
 
 
 class View(NamedTuple):
     """State that one robot sees while an expression is evaluated.
 
-    `slots` has allread variables by name and pid, `cells` allwrite variables by name, `ports` sensors and actuators by
-    "Module.port". `call` calls functions, `ask` callable ports. `after` has a robot's primed ports in an assumption;
-    `robots` is the whole fleet in a property. `spend` takes turns from the event's budget.
+    `slots` maps the name of each allread variable to its values by pid, `cells` the name of each allwrite variable to
+    its value, and `ports` "Module.port" to the value of a sensor or actuator. `call` calls a function, and `ask` calls
+    a callable port. In a port assumption `after` holds the values of primed ports (`position'`), at a later time. In a
+    property `robots` holds the state of each robot of the fleet. `spend` charges loop turns to the event's budget.
     """
 
     pid: int
@@ -72,12 +74,15 @@ class View(NamedTuple):
 
 
 def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spend: Spend) -> View:
-    """Return a view without a robot: params, the fleet's size, functions."""
+    """Return a View without a robot's state: it gives access to params, the fleet's size and functions only."""
     return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
 
 
 def charged_for_making(value: T, view: View, span: Span) -> T:
-    """Return a new list, set, map, queue or string, and spend the turns that it costs. Raises Discarded."""
+    """Charge the size of a new list, set, map, queue or string to the event's budget, and return the value.
+
+    Raises Discarded if the value is too large or the budget is used up.
+    """
     size = len(value)
     if size > MAX_ELEMENTS:
         raise Discarded(f"{size} elements or characters, where an event makes at most {MAX_ELEMENTS}", span)
@@ -87,13 +92,13 @@ def charged_for_making(value: T, view: View, span: Span) -> T:
 
 
 def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
-    """Return a value all of whose elements are read, and spend the turns that this costs.
+    """Charge the reading of all elements of a value to the event's budget, and return the value.
 
-    Raises Discarded.
+    Raises Discarded if the budget is used up.
     """
     one = node.type.element if isinstance(node.type, PerRobot) else node.type
     if isinstance(one, (Scalar, Extern)) or isinstance(node, ir.Ids):
-        return value  # reading a scalar, or one for each robot, costs no turns
+        return value  # reading a scalar, or one scalar for each robot, costs no turn of the event's budget
     turns = elements_in(value, MOST_COUNTED) // ELEMENTS_A_TURN
     if turns:
         view.spend(turns, node.span)
@@ -101,9 +106,9 @@ def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
 
 
 def operand(node: ir.Expr, view: View) -> Value:
-    """Evaluate an operand of a comparison or a search, and spend the turns that reading it costs.
+    """Evaluate an operand of a comparison or a search, and charge its reading to the event's budget.
 
-    Raises Discarded, also if the operand contains NaN.
+    Raises Discarded if the operand has no value or contains NaN, or if the budget is used up.
     """
     value = charged_for_reading(node, evaluate(node, view), view)
     try:
@@ -114,17 +119,20 @@ def operand(node: ir.Expr, view: View) -> Value:
 
 
 def evaluate(node: ir.Expr, view: View) -> Value:
-    """Return the value of a checked expression. Raises Discarded, or InternalError if a proved node fails."""
+    """Return the value of a checked expression.
+
+    Raises Discarded if it has no value, or InternalError if the analysis has proved that the failing node cannot fail.
+    """
     return MEANINGS[type(node)](node, view)
 
 
 def holds(node: ir.Expr, view: View) -> bool:
-    """Return the value of a condition. Raises Discarded."""
+    """Return the value of a condition. Raises Discarded if it has no value."""
     return as_(bool, evaluate(node, view))
 
 
 def elements(node: ir.Expr, view: View) -> Iterator[Value]:
-    """Return the elements of the domain of a loop or quantifier, as it is when the loop begins."""
+    """Return the elements over which a loop or quantifier iterates, evaluated once, before the first iteration."""
     if isinstance(node, ir.Range):
         return _steps(_number(node.start, view), _number(node.stop, view), node.step)
     values = items(evaluate(node, view))
@@ -134,9 +142,9 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
 
 
 def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
-    """Return the values of a loop over a range or `ID`, and the same sequence without an end.
+    """Return the values of a loop over a range or `ID`, and the same sequence continued without end.
 
-    Returns None for other loops.
+    Returns None for a loop over other values.
     """
     match node:
         case ir.Range(start, stop, step):
@@ -192,7 +200,7 @@ def _contains(node: ir.Contains, view: View) -> Value:
 
 
 def _compare(node: ir.Compare, view: View) -> Value:
-    value = evaluate if node.left.type == STRING else operand  # comparing strings costs no more than a turn
+    value = evaluate if node.left.type == STRING else operand  # comparing strings is not charged
     left, right = value(node.left, view), value(node.right, view)
     return _guarded(node, lambda: compared(node.op, left, right))
 
@@ -268,7 +276,7 @@ def _argument(name: str, arg: ir.Expr, view: View) -> Value:
 
 
 def _pairs(name: str, values: Sequence[Value]) -> int:
-    """Count the pairs of points of two paths. One is added for each path, so that empty paths count, too."""
+    """Return the number of pairs of points to compare, with 1 added to each path's length for empty paths."""
     others = [values[1]] if name == "path_distance" else items(values[1])
     return (len(items(values[0])) + 1) * sum([len(items(other)) + 1 for other in others])
 
@@ -290,9 +298,10 @@ def _asked(node: ir.PortCall, view: View) -> Value:
 
 
 def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
-    """Return the result of `compute`.
+    """Return the result of `compute`, which evaluates `node`.
 
-    If it has none, raise Discarded at this node, or InternalError if `proved`.
+    If `compute` fails, raises Discarded at the node's span; raises InternalError if `proved`, which means that the
+    analysis has proved that the node cannot fail.
     """
     try:
         return compute()
@@ -318,7 +327,7 @@ def _robot(node: ir.Expr, view: View) -> Robot:
 
 
 def _place(operand: ir.Expr, name: str) -> int:
-    """Return the position of a record's field, or of a tuple's item, whose name is its index."""
+    """Return the index of the field `name` of a record. For a tuple, `name` is the item's index as text."""
     type_ = operand.type
     if isinstance(type_, TupleOf):
         return int(name)
@@ -350,8 +359,8 @@ def _made(node: ir.Make, view: View) -> Value:
             raise InternalError(f"a {node.type} is not made of parts")
 
 
-# Dispatch by class in one look-up. A `match` would test one class after the other, and replaying a mission evaluates
-# millions of nodes.
+# Evaluator of each class of node. The table finds it in one look-up, while a `match` would test one class after the
+# other. Speed matters, because replaying a mission evaluates millions of nodes.
 MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
     ir.Const: lambda node, view: node.value,
     ir.Pid: lambda node, view: view.pid,

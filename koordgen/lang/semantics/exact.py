@@ -1,7 +1,7 @@
-"""Programs over exact numbers: each float becomes a Fraction of the same value; nothing is rounded.
+"""Programs over exact numbers: each float is replaced by a Fraction of the same value, and nothing is rounded.
 
-A prover reasons about real numbers. Running its counterexamples on exact numbers shows that they do not depend on
-rounding. The evaluator itself does not change: a program that is made exact has Fractions in place of floats.
+The prover reasons about real numbers. Running its counterexamples on exact numbers shows that they do not depend on
+rounding. The same evaluator runs both kinds of programs: only the numbers in the program differ.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 from koordgen.runtime.values.points import Grid, Point, Pose
 
-MAX_BITS = 1 << 16  # limit of a numerator or denominator
+MAX_BITS = 1 << 16  # limit on the size of a numerator or denominator
 _TOO_LONG = f"a number of more than {MAX_BITS} bits"
 N = TypeVar("N")
 
 
 class NotExact(Exception):
-    """An operation has no exact result: it would need an irrational number, or too many bits."""
+    """Signal that an operation has no exact result: it is irrational, or it needs too many bits."""
 
 
 @total_ordering
 class Root:
     """An irrational square root of a rational number.
 
-    It can be compared exactly; other operations raise NotExact.
+    A Root can be compared exactly; other operations on it raise NotExact.
     """
 
     def __init__(self, square: Fraction) -> None:
@@ -63,7 +63,7 @@ Exact = Fraction | Root
 
 
 def root(square: Fraction | int) -> Exact:
-    """Return the square root, as a Fraction if it is rational. Raises ValueError below zero."""
+    """Return the square root: a Fraction if it is rational, else a Root. Raises ValueError below zero."""
     exact = Fraction(square)
     if exact < 0:
         raise ValueError("math domain error")
@@ -80,7 +80,11 @@ def distance(p: Point, q: Point) -> Exact:
 
 
 def power(base: Any, exponent: Any) -> Fraction:
-    """Return a power with an integral exponent. Raises NotExact, ZeroDivisionError."""
+    """Return `base` to the power of an integral `exponent`.
+
+    Raises NotExact if the base is a Root, the exponent is no integer, or the result is too large. Raises
+    ZeroDivisionError for a negative power of zero.
+    """
     if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
         raise NotExact("a power that is no rational number")
     if abs(exponent) * (_bits(Fraction(base)) - 1) > MAX_BITS:
@@ -89,7 +93,7 @@ def power(base: Any, exponent: Any) -> Fraction:
 
 
 def within_exact(number: N) -> N:
-    """Return an exact number unchanged. Raises NotExact if it has more than MAX_BITS."""
+    """Return a number unchanged. Raises NotExact if it is a Fraction of more than MAX_BITS bits."""
     if isinstance(number, Fraction) and _bits(number) > MAX_BITS:
         raise NotExact(_TOO_LONG)
     return number
@@ -102,7 +106,7 @@ def _bits(number: Fraction) -> int:
 def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> Exact | float:
     """Return the least distance of two paths with exact coordinates, in metres.
 
-    The distance is infinite if one path has no points.
+    The distance is infinite if either path has no points.
     """
     if not a or not b:
         return math.inf
@@ -116,8 +120,8 @@ def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
 def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
     """Return the squared distance of the segments pq and rs.
 
-    The squared distance of p + x (q - p) and r + y (s - r) is convex in x and y. Its least value on the unit square is
-    at one end of a segment, or where both derivatives are zero.
+    The squared distance of the points p + x (q - p) and r + y (s - r) is a convex function of x and y. Its least value
+    for 0 <= x <= 1 and 0 <= y <= 1 is at one end of a segment, or where both partial derivatives are zero.
     """
     if p == q or r == s:
         return _beyond(p, r, s) if p == q else _beyond(r, p, q)
@@ -153,7 +157,7 @@ def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-# Builtins that round floats.
+# Builtin functions that round their result if they are applied to floats.
 ROUNDING = frozenset(
     ("distance", "sqrt", "path_distance", "clear", "sum", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp",
      "log", "GridMap", "center", "cell", "is_free", "is_occupied", "is_known", "mark_free", "mark_occupied")
@@ -161,7 +165,7 @@ ROUNDING = frozenset(
 
 
 def applied(name: str, args: list[Any]) -> Any:
-    """Return the result of a builtin in ROUNDING for arguments some of which are exact.
+    """Return the result of a builtin function in ROUNDING for arguments of which at least one is exact.
 
     Raises NotExact if the result is neither a rational number nor the square root of one.
     """
@@ -196,7 +200,7 @@ def is_exact(*values: object) -> bool:
 
 
 def made_exact(value: Any) -> Any:
-    """Return a value of the language with all floats made exact."""
+    """Return a Koord value with each float replaced by a Fraction of the same value."""
     if isinstance(value, float):
         return Fraction(value)
     if isinstance(value, Point):
@@ -213,9 +217,9 @@ def made_exact(value: Any) -> Any:
 
 
 def exact(program: decl.Program) -> decl.Program:
-    """Return the program over exact numbers.
+    """Return the program with a Fraction in place of each float.
 
-    before: x := 1 / 4      after: x := (0 + 1) / 4, where 0 is a Fraction
+    Before: x := 1 / 4. After: x := (0 + 1) / 4, where 0 is a Fraction, so that the quotient is a Fraction, too.
     """
     made = transform(program, _exact)
     assert isinstance(made, decl.Program)
@@ -223,7 +227,7 @@ def exact(program: decl.Program) -> decl.Program:
 
 
 def _exact(node: Node) -> Node:
-    """Make a node exact whose children are exact already."""
+    """Return the exact form of a node whose children are exact already."""
     match node:
         case expr.Const(value, type_, span) if isinstance(value, float):
             return expr.Const(Fraction(value), type_, span)  # type: ignore[arg-type]
@@ -238,7 +242,7 @@ def _exact(node: Node) -> Node:
 
 
 def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
-    """Return a sum that is an exact zero for an empty list, too."""
+    """Return the expression `whole`, a sum over `values`, changed to give an exact zero for an empty list."""
     some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
     return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
 

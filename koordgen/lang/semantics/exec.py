@@ -1,4 +1,4 @@
-"""Semantics of statements and functions: one run of an effect, on private copies of the state."""
+"""Semantics of statements and functions: runs the effect of one event on private copies of the state."""
 
 from __future__ import annotations
 
@@ -26,16 +26,17 @@ from koordgen.lang.semantics.state import World
 from koordgen.lang.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.lang.source import Span
 
-MAX_TURNS = 1_000_000  # turns of one event; a robot's round ends earlier
+MAX_TURNS = 1_000_000  # budget of loop turns of one event, beyond what a robot can run in a round
 UNFINISHED = "it is not finished by the end of the round"
 
 
 class Writes(NamedTuple):
-    """Result of an event.
+    """Values that an event writes.
 
-    `locals` has all of the robot's locals; `slots` (its own), `cells` and `ports` (actuators) only those written.
-    `streams` has the lines written to streams, as ("Module.port", line), in order. `violated` has the spans of loop
-    invariants that were false or had no value, each once, with those of the functions that the event called.
+    `locals` holds all local variables of the robot. `slots` (the robot's own slots of allread variables), `cells`
+    (allwrite variables) and `ports` (actuators) hold only the values that the event wrote. `streams` lists the lines
+    written to streams, as ("Module.port", line), in order. `violated` lists the span of each loop invariant that was
+    false or had no value, in the event or in a function that it called, without duplicates.
     """
 
     locals: Mapping[str, Value]
@@ -48,12 +49,12 @@ class Writes(NamedTuple):
 
 
 class Budget:
-    """Budget of turns of one event and the functions that it calls.
+    """Budget of loop turns of one event, shared with the functions that the event calls.
 
-    `left` is the number of turns that remain, at first `turns` or MAX_TURNS.
+    `left` is the number of turns that remain; it begins with `turns`, or with MAX_TURNS if `turns` is None.
 
-    An iteration of a loop and a call of a function cost one turn. `violated` has the spans of loop invariants that were
-    false or had no value. If a deadline is set, spending turns after it raises OutOfTime.
+    Each iteration of a loop and each call of a function costs one turn. `violated` collects the spans of loop
+    invariants that were false or had no value. If a deadline is set, spending turns after it raises OutOfTime.
     """
 
     def __init__(self, turns: int | None = None) -> None:
@@ -62,7 +63,10 @@ class Budget:
         self.deadline = present()
 
     def spend(self, turns: int, span: Span) -> None:
-        """Spend a number of turns. Raises Discarded, OutOfTime."""
+        """Subtract a number of turns from the budget.
+
+        Raises Discarded if too few turns remain, and OutOfTime if the deadline has passed.
+        """
         self.left -= turns
         if self.left < 0:
             raise Discarded(UNFINISHED, span)
@@ -73,10 +77,10 @@ class Budget:
 def library(
     program: decl.Program, n_sys: int, params: Mapping[str, Value], world: World, budget: Budget, ask: Call
 ) -> View:
-    """Return the view of a program's functions, on which all other views are based.
+    """Return a View through which expressions call a program's functions; it contains no robot's state.
 
-    It has no robot's state. `ask` serves its callable ports, in an assumption. A `fun` is run; an extern function is
-    called and its contract is checked.
+    Callers add the state of a robot or of the fleet to this View. `ask` answers calls of callable ports. A call of a
+    `fun` runs its statements; a call of an extern function runs its Python code and checks its contract.
     """
     functions = {f.name: f for f in program.functions}
     externs = {f.name: f for f in program.externs}
@@ -96,7 +100,7 @@ def library(
 
 
 class NoMeaning(Exception):
-    """A `spec fun` has no implementation, so it cannot be executed."""
+    """Signal a call of a `spec fun`, which is declared without an implementation and cannot be executed."""
 
 
 def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
@@ -106,7 +110,7 @@ def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
 
 
 def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, world: World) -> Value:
-    """Call an extern function. Raises ValueError if it fails or violates its contract."""
+    """Call an extern function, which is written in Python. Raises ValueError if it fails or breaks its contract."""
     name = function.name
     view = view._replace(temps={p.name: arg for p, arg in zip(function.parameters, args, strict=True)})
     for formula in function.requires:
@@ -129,7 +133,7 @@ Exit = Literal["break", "continue", "return", "stop"] | None
 
 
 class Run:
-    """One run of a block, on private copies of the state that a view has."""
+    """One run of a block of statements, on private copies of the state in a View."""
 
     def __init__(self, program: decl.Program, view: View, budget: Budget) -> None:
         self.program = program
@@ -147,13 +151,17 @@ class Run:
         self.returned: Value | None = None
 
     def result(self, function: decl.Function) -> Value:
-        """Run a function and return its result."""
+        """Run the body of a function and return its result."""
         if self.block(function.block) != "return" or self.returned is None:
             raise InternalError(f"{function.name} ended without a result")
         return self.returned
 
     def block(self, block: stmt.Block) -> Exit:
-        """Run statements in order. Returns how the block was left, None at its end. Raises Discarded."""
+        """Run the statements of a block in order.
+
+        Returns the kind of statement that left the block early ("break", "return", ...), or None if its end was
+        reached. Raises Discarded if an expression has no value.
+        """
         for statement in block:
             left = self.statement(statement)
             if left is not None:
@@ -199,7 +207,8 @@ class Run:
     def turns(self, loop: stmt.For | stmt.While, values: Iterator[Value]) -> Exit:
         while True:
             value = next(values, None)
-            if value is not None and isinstance(loop, stmt.For):  # before its invariants are evaluated, as on robots
+            if value is not None and isinstance(loop, stmt.For):
+                # As on robots, a `for` loop spends the turn before its invariants are evaluated.
                 self.budget.spend(1, loop.span)
             self.check_invariants(loop.invariants)
             if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
@@ -215,9 +224,10 @@ class Run:
                 return left
 
     def counted(self, values: Iterator[Value], count: Iterator[int], names: tuple[str, ...]) -> Iterator[Value]:
-        """Yield the values of a counting loop.
+        """Yield the values of a loop over a range or `ID`.
 
-        Sets its variable before each; at the end, to the first unused value.
+        Sets the loop's variable to each value before the value is yielded. After the last value, sets the variable to
+        the value that would come next, so that the loop invariants can be evaluated once more.
         """
         for following in count:
             value = next(values, None)
@@ -227,9 +237,9 @@ class Run:
             yield value
 
     def check_invariants(self, invariants: tuple[stmt.LoopInvariant, ...]) -> None:
-        """Record invariants that are false or have no value.
+        """Record the loop invariants that are false or have no value.
 
-        Raises Discarded if they use up the event's turns.
+        Raises Discarded if evaluating the invariants uses up the event's budget of loop turns.
         """
         for invariant in invariants:
             try:
@@ -242,7 +252,7 @@ class Run:
                 self.budget.violated[invariant.span] = None
 
     def bind_element(self, names: tuple[str, ...], value: Value) -> None:
-        """Assign an element to the variables of a loop."""
+        """Assign an element to the loop's variable, or the element's parts to the loop's variables."""
         parts = (value,) if len(names) == 1 else items(value)
         self.temps.update(zip(names, parts, strict=True))
 
@@ -266,10 +276,10 @@ class Run:
                 assert_never(place)
 
     def writes(self, stopped: bool) -> Writes | Discarded:
-        """Return the event's writes, or Discarded if a variable cannot store its last value.
+        """Return the event's writes, or Discarded if a variable or actuator cannot store the value written last.
 
-        Of several such variables the first one is reported, as on robots: locals in the order of declaration, then
-        shared variables, then actuators.
+        If several cannot, the first in this order is reported, as on robots: local variables in the order of their
+        declarations, then shared variables, then actuators.
         """
         types = declared(self.program)
         order = {name: place for place, name in enumerate(types)}
@@ -300,7 +310,7 @@ def declared(program: decl.Program) -> dict[str, Type]:
 
 
 def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) -> Writes | Discarded:
-    """Run an effect on a robot's view. Returns its writes, or why they are discarded."""
+    """Run a block of statements on a robot's View. Returns its writes, or Discarded with the reason."""
     working = Run(program, view, budget)
     try:
         left = working.block(block)
@@ -310,9 +320,9 @@ def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) ->
 
 
 def constant(node: ir.Expr, view: View, type_: Type) -> Value:
-    """Return an initial value.
+    """Return the value of an initial-value expression.
 
-    Raises InternalError if it is not of the type, which the checker has ensured.
+    The checker has ensured that the value is of type `type_`; raises InternalError if it is not.
     """
     value = evaluate(node, view)
     if not conforms(value, type_):

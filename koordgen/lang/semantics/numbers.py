@@ -1,4 +1,4 @@
-"""Semantics of operators on numbers, Points, strings and lists."""
+"""Semantics of arithmetic and comparison operators on numbers, Points, strings and lists."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from koordgen.runtime.values.points import NotANumber, Point
 T = TypeVar("T")
 
 MAX_EXPONENT = 1024
-MAX_BITS = 4096  # limit of an int
-SMALL_BITS = 64  # an int of at most so many bits may be added to any int
+MAX_BITS = 4096  # limit on the size of an int
+SMALL_BITS = 64  # MAX_BITS does not limit a sum or difference if one operand has at most this many bits
 
 
 def as_real(value: Value) -> int | float:
-    """Return a value that must be an int, a float, or an exact number in place of a float."""
+    """Return a value unchanged. Raises InternalError if it is not an int, a float or an exact number."""
     if not isinstance(value, (int, float)) and not is_exact(value):
         raise InternalError(f"{value!r} is not a number")
     return value  # type: ignore[return-value]
 
 
 def arithmetic(op: str, left: Value, right: Value) -> Value:
-    """Apply an operator to two values of matching types.
+    """Return the result of an arithmetic operator for two values of matching types.
 
-    Raises ArithmeticError or ValueError if there is no value.
+    Raises ArithmeticError or ValueError if the operation has no result.
     """
     match left, right:
         case Point(), Point():
@@ -52,9 +52,10 @@ def _point(x: float, y: float, z: float) -> Point:
 
 
 def sized(op: str, left: int | float, right: int | float) -> int | float:
-    """Apply an operator to two numbers, with limits on the size of ints. Raises ValueError beyond them.
+    """Return the result of an operator for two numbers; the size of an int is limited.
 
-    A result of more than MAX_BITS has no value, except for a sum or difference with an int of at most SMALL_BITS.
+    Raises ValueError if the result is an int of more than MAX_BITS bits. A sum or difference is not limited if one
+    operand has at most SMALL_BITS bits.
     """
     ints = isinstance(left, int) and isinstance(right, int)
     if ints and op == "*" and left.bit_length() + right.bit_length() > MAX_BITS + 1:  # type: ignore[union-attr]
@@ -66,7 +67,7 @@ def sized(op: str, left: int | float, right: int | float) -> int | float:
 
 
 def within_bits(number: T) -> T:
-    """Return a number unchanged. Raises ValueError for an int of more than MAX_BITS."""
+    """Return a number unchanged. Raises ValueError for an int of more than MAX_BITS bits."""
     if isinstance(number, int) and number.bit_length() > MAX_BITS:
         raise ValueError(_TOO_LONG)
     return number

@@ -1,4 +1,4 @@
-"""Semantics of properties, over the whole fleet's state, and of port assumptions, over one robot's."""
+"""Semantics of properties, about the state of the whole fleet, and of port assumptions, about one robot's ports."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from koordgen.lang.semantics.values import Value, conforms, same
 
 
 class Asked(NamedTuple):
-    """One call of a callable port, named "Module.port", with its answer."""
+    """Record of one call of a callable port ("Module.port"): its arguments and the answer."""
 
     port: str
     args: tuple[Value, ...]
@@ -23,7 +23,7 @@ class Asked(NamedTuple):
 
 
 def holds_property(property_: decl.Property, program: decl.Program, state: State, world: World = NOTHING) -> bool:
-    """Return whether a property holds at a round's boundary.
+    """Return whether a property holds in a state between two rounds.
 
     Raises Discarded if its formula has no value (for example, an index that names no robot), and NoMeaning if it calls
     a `spec fun` that `world` does not define.
@@ -39,9 +39,10 @@ def holds_assumption(
 ) -> bool:  # fmt: skip
     """Return whether a module's assumption holds for one robot.
 
-    `before` has its ports right after the program's step, `after` at a time during the following delta, both by
-    "Module.port". `asked` has its calls of ports in that step. An assumption about all goals is checked for the goals
-    of these calls, and holds if there were none. Raises Discarded if the formula has no value.
+    `before` maps "Module.port" to the port's value right after the program's step. `after` maps it to the value at some
+    time during the period `delta` that follows. `asked` lists the robot's calls of callable ports in that step. A
+    formula may pass an unbound name (a goal) to a callable port; the formula is then checked for the goals of these
+    calls, and holds if there were none. Raises Discarded if the formula has no value.
     """
     answers = {(call.port, call.args): call.answer for call in asked}
 
@@ -56,9 +57,10 @@ def holds_assumption(
 def _goals(
     patterns: list[tuple[PortCall, dict[int, TempRead]]], asked: Sequence[Asked], known: dict[str, Value]
 ) -> Iterator[dict[str, Value]]:
-    """Yield the values of the goals for which all of the formula's calls were made.
+    """Yield values of an assumption's goals: each choice for which the robot made all calls in the formula.
 
-    One empty dict without goals.
+    A goal is an unbound name that the formula passes to a callable port. `patterns` lists the calls with goals. If
+    there are none left, yields `known`, the values that are chosen already.
     """
     if not patterns:
         yield known

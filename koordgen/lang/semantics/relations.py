@@ -1,6 +1,6 @@
-"""All steps that the language allows: any enabled event of each robot, or none, in any order.
+"""All steps that the language allows: each robot runs any enabled event or none, in any order of robots.
 
-Agents take one.
+The programs on robots (agents) execute only one of these steps; see step.py.
 """
 
 from __future__ import annotations
@@ -15,17 +15,19 @@ from koordgen.lang.semantics.state import NOTHING, State, Store, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, select
 
 Environment = Callable[[State], Iterable[State]]
-Happened = tuple[State, str, int | None, int]  # state, event that led to it, its robot (None: all), round
+# A state, the name of the event that led to it, the pid of its robot (None: all robots), and the number of the round.
+Happened = tuple[State, str, int | None, int]
 
 
 def choices(
     program: decl.Program, state: State, pid: int, begun: Store | None = None, world: World = NOTHING
 ) -> list[Step]:
-    """Return the steps of one robot in a round: skip, or run an event.
+    """Return all steps that the language allows one robot in a round: to skip the round, or to run one event.
 
-    The event's guard must hold, it must have priority, and it must not be discarded. `begun` is the store at the
-    round's start, by default the state's own: plain events run on it, and guards of earlier events of a `priority:`
-    block are evaluated on it. Atomic events run on the state's store.
+    The event's guard must hold, no earlier event of its `priority:` block may be enabled, and the event must not be
+    discarded. `begun` is the store (the shared variables) at the round's start, by default the store of `state`. Events
+    that are not atomic run on `begun`, and guards of earlier events in a `priority:` block are evaluated on it. Atomic
+    events run on the store of `state`.
     """
     found = [Step(pid, None, None)]
     if not state.robots[pid].stopped:
@@ -38,9 +40,9 @@ def choice(
     program: decl.Program, event: decl.Event, state: State, pid: int, begun: Store | None = None,
     world: World = NOTHING,
 ) -> Step | None:  # fmt: skip
-    """Return the step of one event of a robot that has not stopped.
+    """Return the step in which a robot that has not stopped runs this event.
 
-    Returns None if it is not among the robot's `choices`.
+    Returns None if the robot cannot run the event: see `choices`, which describes `begun`.
     """
     copy = state if begun is None else state._replace(store=begun)
     seen = copy if event.lock is None else state
@@ -53,7 +55,7 @@ def choice(
 
 
 def post(program: decl.Program, state: State, order: Sequence[int], world: World = NOTHING) -> list[State]:
-    """Return all states after the robots in `order` took one step each, in that order."""
+    """Return all states that can result if the robots in `order` take one step each, in that order."""
     states = [state]
     for pid in order:
         states = _distinct(applied(program, s, c) for s in states for c in choices(program, s, pid, state.store, world))
@@ -61,18 +63,18 @@ def post(program: decl.Program, state: State, order: Sequence[int], world: World
 
 
 def rounds(program: decl.Program, state: State, world: World = NOTHING) -> list[State]:
-    """Return all states after the program's step of a round: for all orders of all robots."""
+    """Return all states that can result from the program's step of one round, in any order of the robots."""
     orders = permutations(range(len(state.robots)))
     found = _distinct(after for order in orders for after in post(program, state, order, world))
     return [after._replace(round=state.round + 1) for after in found]
 
 
 def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: World = NOTHING) -> bool:
-    """Return whether agents can execute every round of a run.
+    """Return whether agents, the programs on robots, can execute every round of a run.
 
     In a round of agents each robot skips, or runs the first event in text order whose guard holds at the round's start;
-    after a guard without a value it runs none. Commits come first, at most one for each lock, then plain events by
-    ascending pid. A discarded event may only stand last.
+    if a guard has no value, the robot runs no event. Atomic events come first, at most one for each lock, then the
+    other events by ascending pid. An event that is discarded may only be the last of a round.
     """
     before = run[0][0]
     rounds_of: dict[int, tuple[State, list[tuple[int, str]]]] = {}  # number -> state at its start, steps
@@ -84,11 +86,11 @@ def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: Wo
 
 
 def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World) -> bool:
-    locks: list[int] = []  # locks of the commits
-    plain: list[int] = []  # pids of the plain events
+    locks: list[int] = []  # locks of the atomic events so far
+    plain: list[int] = []  # pids of the robots that ran an event that is not atomic
     for pid, name in steps:
         chosen = select(program, begun, pid, world)
-        if isinstance(chosen, Step):  # the guard has no value
+        if isinstance(chosen, Step):  # a guard has no value, so the robot's event is discarded
             return chosen.event == name and (pid, name) == steps[-1]
         if chosen is None or chosen.name != name:
             return False
@@ -102,14 +104,14 @@ def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tup
 
 
 def end(states: Iterable[State], environment: Environment) -> list[State]:
-    """Return all states after the environment's step: time delta has passed, and all robots have moved."""
+    """Return all states after the environment's step, in which the time `delta` passes and robots move."""
     return _distinct(moved for state in states for moved in environment(state))
 
 
 def reach(
     program: decl.Program, states: Sequence[State], environment: Environment, count: int, world: World = NOTHING
 ) -> list[State]:
-    """Return all states at the end of `count` rounds; `states` for 0."""
+    """Return all states that can be reached from `states` in `count` rounds."""
     for _ in range(count):
         states = end([after for state in states for after in rounds(program, state, world)], environment)
     return list(states)

@@ -1,4 +1,4 @@
-"""State of a fleet, and the outside world: functions and ports that a program calls."""
+"""State of a fleet, and the world outside of the program: extern functions and callable ports."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from koordgen.lang.semantics.values import Value
 
 
 class Robot(NamedTuple):
-    """Private state of one robot. `ports` has its sensors and actuators, by "Module.port"."""
+    """Private state of one robot. `ports` maps "Module.port" to the value of a sensor or actuator."""
 
     locals: Mapping[str, Value]
     ports: Mapping[str, Value]
@@ -17,16 +17,16 @@ class Robot(NamedTuple):
 
 
 class Store(NamedTuple):
-    """Shared variables: `slots` has allread ones by name and pid, `cells` allwrite ones by name."""
+    """Values of the shared variables: of allread variables by name and pid, of allwrite variables by name."""
 
     slots: Mapping[str, tuple[Value, ...]]
     cells: Mapping[str, Value]
 
 
 class State(NamedTuple):
-    """State of a fleet at a round's start, when every robot's copy of the store is equal to the store.
+    """State of a fleet at a round's start, when all robots' copies of the shared variables agree.
 
-    `round` is the number of the next round, 0 before init.
+    `round` is the number of the round that begins; it is 0 before `init` has run.
     """
 
     params: Mapping[str, Value]
@@ -36,18 +36,19 @@ class State(NamedTuple):
 
 
 def nobody(pid: int, port: str, args: tuple[Value, ...]) -> Value:
-    """Answer for callable ports of a fleet without any: raises LookupError."""
+    """Raise LookupError: the answer to a call of a port if nothing implements the callable ports."""
     raise LookupError(f"nothing serves {port}")
 
 
 class World(NamedTuple):
-    """Functions and ports outside of a program, which it calls.
+    """Implementations of the extern functions and callable ports that a program calls.
 
-    An exception that they raise discards the event.
+    If an implementation raises an exception, the event is discarded.
 
-    `externs` has pure extern functions by name, and `spec fun`s if properties that use them are to be executed.
-    `answer` returns the answer of a callable port for a pid, "Module.port" and arguments. The answer is an input: it
-    must be the same when an event is run again. `turns` limits the turns of an event; None: as on robots.
+    `externs` maps the name of an extern function to its implementation, which must be pure. It also holds
+    implementations of `spec fun`s if properties that call them are to be executed. `answer` returns the answer of a
+    callable port for a pid, "Module.port" and arguments. It must return the same answer if the event is run again.
+    `turns` is the event's budget of loop turns; None stands for the default, MAX_TURNS in exec.py.
     """
 
     externs: Mapping[str, Callable[..., Value]]

@@ -1,9 +1,10 @@
-"""Semantics of a program: init, one event of one robot, a round. Pure; tests compare agents with it.
+"""Semantics of a program: `init`, one event of one robot, and a round. All functions are pure.
 
-Of the rounds that the language allows, `round_` is the one that agents execute. Each robot runs the first event in text
-order whose guard holds, on the shared store as it was at the round's start. The commits of atomic events come first, at
-most one for each lock, then the plain events by ascending pid: if several robots write an allwrite variable, the last
-write counts. All writes of one event take effect together. relations.py has all other rounds.
+Tests compare the programs on robots (agents) with this code. The language allows several results of a round; `round_`
+computes the result that agents compute. Each robot runs the first event in text order whose guard holds, on the shared
+variables as they were at the round's start. The writes of atomic events take effect first, at most one event for each
+lock, then those of the other events by ascending pid. If several robots write an allwrite variable, the last write
+remains. All writes of one event take effect together. relations.py computes all results that the language allows.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from koordgen.lang.semantics.values import RecordValue, Value, default
 class Step(NamedTuple):
     """Step of one robot in a round.
 
-    `event` is None for init and if no guard held. `outcome` is None if the robot skipped the round.
+    `event` is None for `init`, and if the robot skipped the round. `outcome` is None if the robot skipped the round.
     """
 
     pid: int
@@ -31,10 +32,10 @@ class Step(NamedTuple):
 
 
 def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Value]] = ()) -> State:
-    """Return the state before init.
+    """Return the state before `init` runs, in which all variables have their initial values.
 
-    All variables have their initial values. `sensors` has values by robot and "Module.port". An actuator without a
-    command has the value of the sensor that it holds at, so a `target` is the robot's position, unless it is given.
+    `sensors` has one mapping for each robot, from "Module.port" to a value. The value of an actuator is that of the
+    sensor named by its `holds` mark, so that a `target` is the robot's position, unless `sensors` has a value for it.
     """
     constants = library(program, n_sys, {}, NOTHING, Budget(), no_port)
     params = {p.name: constant(p.default, constants, p.type) for p in program.params}
@@ -60,19 +61,19 @@ def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Va
 
 
 def _held(program: decl.Program, sensors: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the actuators of a robot without commands, with the values of the sensors that they hold at."""
+    """Return the values of a robot's actuators before the first command: those of the sensors that they hold."""
     return {name: sensors[sensor] for name, sensor in held(program).items() if sensor in sensors}
 
 
 def no_port(port: str, args: tuple[Value, ...]) -> Value:
-    """Answer for callable ports outside of an event: raises LookupError."""
+    """Raise LookupError: the answer to a call of a callable port outside of an event."""
     return nobody(-1, port, args)
 
 
 def run_init(program: decl.Program, state: State, world: World = NOTHING) -> tuple[State, list[Step]]:
-    """Run the init of every robot, each on the store before init. The next round is 1.
+    """Run `init` for every robot, each on the shared variables' initial values. The next round is 1.
 
-    If one of them is discarded, no mission begins, and the returned state must not be used.
+    If the `init` of one robot is discarded, no mission begins, and the returned state must not be used.
     """
     steps = [Step(pid, None, execute(program, program.init, state, pid, world)) for pid in range(len(state.robots))]
     return _all_applied(program, state, steps)._replace(round=1), steps
@@ -86,8 +87,9 @@ def round_(
 
     Returns the next state, and the steps in the order of their effects.
 
-    Robots in `skipping` and stopped robots take no step. `grants` has the robot that holds each lock; by default the
-    lowest pid that wants it. A robot whose first enabled event is atomic skips the round if it does not hold the lock.
+    Robots in `skipping` and stopped robots take no step. `grants` maps each lock to the pid of the robot that holds it;
+    by default, to the lowest pid of the robots that want it. A robot whose first enabled event is atomic skips the
+    round if the robot does not hold the event's lock.
     The environment's step (`sense`) comes after this step.
     """
     chosen = [
@@ -114,7 +116,7 @@ def round_(
 def select(program: decl.Program, state: State, pid: int, world: World = NOTHING) -> decl.Event | Step | None:
     """Return the first event in text order whose guard holds; None if there is none.
 
-    A guard without a value gives a discarded Step of its event, and later events are not considered.
+    If a guard has no value, returns a Step in which its event is discarded; later events are then not considered.
     """
     for event in program.events:
         try:
@@ -126,14 +128,15 @@ def select(program: decl.Program, state: State, pid: int, world: World = NOTHING
 
 
 def enabled(program: decl.Program, event: decl.Event, state: State, pid: int, world: World = NOTHING) -> bool:
-    """Return whether an event's guard holds for a robot. Raises Discarded."""
+    """Return whether an event's guard holds for a robot. Raises Discarded if the guard has no value."""
     return holds(event.guard, _view(program, state, pid, world, Budget(world.turns)))
 
 
 def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: int, world: World = NOTHING) -> bool:
-    """Return whether the guards of all earlier events in the `priority:` block have a value and are false.
+    """Return whether an event may run: all guards of earlier events in its `priority:` block are false.
 
-    `begun` is the state that the robot sees at the round's start. An event outside of blocks always has priority.
+    The result is False if such a guard has no value. `begun` is the state that the robot sees at the round's start. An
+    event outside of `priority:` blocks may always run.
     """
     try:
         return not any(enabled(program, earlier, begun, pid, world) for earlier in program.earlier(event))
@@ -144,22 +147,26 @@ def has_priority(program: decl.Program, event: decl.Event, begun: State, pid: in
 def execute(
     program: decl.Program, block: stmt.Block, state: State, pid: int, world: World = NOTHING
 ) -> Writes | Discarded:
-    """Run an effect, or init, of one robot on a state. Returns its writes, or why they are discarded."""
+    """Run the effect of an event, or `init`, for one robot. Returns its writes, or Discarded with the reason."""
     budget = Budget(world.turns)
     return run(program, block, _view(program, state, pid, world, budget), budget)
 
 
 def sense(state: State, sensors: Sequence[Mapping[str, Value]]) -> State:
-    """Return the state after the environment's step, with new sensor values by robot and "Module.port".
+    """Return the state after the environment's step, in which sensors get new values.
 
-    Sensors without a new value keep their value. Robots that skipped or stopped move, too.
+    `sensors` has one mapping for each robot, from "Module.port" to the new value. Other sensors keep their values.
+    Robots that skipped the round or stopped may get new values, too, because they can still move.
     """
     robots = tuple(r._replace(ports={**r.ports, **new}) for r, new in zip(state.robots, sensors, strict=True))
     return state._replace(robots=robots)
 
 
 def applied(program: decl.Program, state: State, step: Step) -> State:
-    """Return the state after one step: its writes, and False for the sensors that its commands clear."""
+    """Return the state after one robot's step: applies its writes.
+
+    If the step writes an actuator with a `clears` mark, the sensors named by the mark become False.
+    """
     pid, outcome = step.pid, step.outcome
     if not isinstance(outcome, Writes):
         return state

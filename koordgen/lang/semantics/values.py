@@ -1,8 +1,8 @@
-"""Values of Koord: equality, defaults, types, and which values can be stored.
+"""Values of Koord: their representation, equality, defaults, types, and the limits of values that are stored.
 
-Ints, floats, bools and strings are Python's; Points, Poses, Grids, Scans and GridMaps are the classes of the robots.
-Lists and queues are tuples (a queue's front first); sets are ascending tuples without duplicates; maps are tuples of
-pairs with ascending keys without duplicates. Values are immutable, so they are never copied.
+Ints, floats, bools and strings are represented by Python's; Points, Poses, Grids, Scans and GridMaps by the classes
+that robots use. A list or queue is a tuple (a queue's front first); a set is an ascending tuple without duplicates; a
+map is a tuple of pairs with ascending keys, without duplicate keys. Values are immutable, so they are never copied.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class RecordValue(NamedTuple):
 
 
 class Rect(NamedTuple):
-    """Box between two corners, with its faces."""
+    """Box between two opposite corners; its faces belong to it."""
 
     a: Point
     b: Point
@@ -56,7 +56,7 @@ P = TypeVar("P")
 
 
 def as_(kind: type[P], value: object) -> P:
-    """Return a value that must be of a Python type. Raises InternalError if it is not."""
+    """Return a value unchanged. Raises InternalError if it is not of the Python type `kind`."""
     if not isinstance(value, kind):
         raise InternalError(f"{value!r} is not of type {kind.__name__}")
     return value
@@ -68,9 +68,9 @@ def items(value: object) -> tuple[Any, ...]:
 
 
 def same(a: Value, b: Value) -> bool:
-    """Return `a == b` for values of one type, with floats as in IEEE 754.
+    """Return whether two values of one type are equal; floats are compared as in IEEE 754.
 
-    In a program neither contains NaN.
+    The evaluator compares no values that contain NaN: it discards the event first.
     """
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
@@ -80,10 +80,10 @@ def same(a: Value, b: Value) -> bool:
 
 
 def elements_in(value: object, most: int) -> int:
-    """Count the elements of a value at all depths; stop counting beyond `most`.
+    """Return the number of elements of a value, nested ones included; counting stops beyond `most`.
 
-    Items of tuples, characters and rays count. A map counts its pairs, keys and values. A GridMap counts one for each
-    CELLS_AN_ELEMENT cells.
+    Items of tuples, characters of strings, and rays of Scans are elements, and so are the pairs, keys and values of a
+    map. CELLS_AN_ELEMENT cells of a GridMap count as one element.
     """
     if isinstance(value, str):
         return len(value)
@@ -104,7 +104,7 @@ def elements_in(value: object, most: int) -> int:
 
 
 def default(type_: Type, records: Mapping[str, RecordValue]) -> Value:
-    """Return the default of a type. `records` has the defaults of the program's records."""
+    """Return the default value of a type. `records` maps the name of each record type to its default value."""
     match type_:
         case Scalar(name) | Sized(name):
             return as_(_PYTHON[name], _DEFAULTS[name])
@@ -129,9 +129,9 @@ _DEFAULTS: dict[str, Value] = {
 
 
 def conforms(value: object, type_: Type) -> bool:
-    """Return whether an object is a value of a type, with sets and maps in order.
+    """Return whether an object is a value of a type; sets and the keys of maps must be in ascending order.
 
-    Capacities are not checked.
+    The capacities of the type are not checked.
     """
     match type_:
         case Scalar(name) | Sized(name):
@@ -167,19 +167,19 @@ def _ascending(keys: Any) -> bool:
 
 
 def has_nan(value: object) -> bool:
-    """Return whether a value is or contains NaN, at any depth, and so cannot be compared."""
+    """Return whether a value is NaN or contains NaN at any depth. Such a value cannot be compared."""
     if isinstance(value, _STRUCTS):
         return any(has_nan(getattr(value, field)) for field in value.__struct_fields__)
     return any(map(has_nan, value)) if isinstance(value, tuple) else isinstance(value, float) and math.isnan(value)
 
 
 def flaw(value: Any, type_: Type) -> str:
-    """Return why a variable, slot or actuator of a type cannot store a value of that type.
+    """Return the reason why a variable, slot or actuator cannot store a value of its type.
 
-    Returns an empty string if it can.
+    Returns an empty string if the value can be stored.
 
-    Stored floats are finite, at any depth, so no NaN outlives its event. Stored ints have at most 64 bits: an int that
-    is squared every round would soon block the robot.
+    Stored floats must be finite, at any depth, so that no NaN remains after its event. Stored ints must have at most 64
+    bits: without this limit, an int that is squared every round would soon block the robot.
     """
     match type_:
         case Scalar() | Sized("string"):
@@ -206,7 +206,7 @@ def flaw(value: Any, type_: Type) -> str:
 
 
 def number_flaw(value: Any) -> str:
-    """Return why a value has numbers that cannot be stored, sent or received; empty if it has none."""
+    """Return a description of a number in a value that cannot be stored or sent; empty if there is none."""
     if isinstance(value, (*_STRUCTS, tuple)):
         parts = value if isinstance(value, tuple) else [getattr(value, field) for field in value.__struct_fields__]
         return _first(number_flaw(part) for part in parts)
@@ -220,7 +220,7 @@ def _text_flaw(value: str, type_: Sized) -> str:
 
 
 def encodable(text: str) -> bool:
-    """Return whether a string is valid Unicode: without lone surrogates, which badly decoded bytes leave."""
+    """Return whether a string is valid Unicode: it has no lone surrogates, which malformed bytes decode to."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 

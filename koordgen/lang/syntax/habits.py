@@ -331,7 +331,8 @@ def _priority(site: ErrorSite) -> Diagnostic | None:
 
 def _section(site: ErrorSite) -> Diagnostic:
     help = (
-        "sections: using, param, local, allread, allwrite, def, fun, init, invariant, ..., priority, and events, Name:"
+        "a section begins with 'using', 'param', 'local', 'allread', 'allwrite', 'def', 'fun', 'init', 'invariant', "
+        "..., 'priority' or, for an event, with its name: 'Name:'"
     )
     if site.kind in ("pre", "eff"):
         help = f"'{site.kind}' must be indented under the name of its event"

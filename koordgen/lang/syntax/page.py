@@ -50,9 +50,9 @@ def page(grammar: str) -> str:
 
 
 def _sections(grammar: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield each title with its rules, each with all its lines.
+    """Yield the title of each section of the grammar with the section's rules.
 
-    A comment with a capital initial is a title.
+    A comment that begins with a capital letter is a title. A rule consists of all of its lines.
     """
     title, rules = "Program", list[str]()
     for line in grammar.split("\n"):

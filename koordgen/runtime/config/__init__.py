@@ -2,5 +2,5 @@
 
 Owns: `settings.json`, typed and checked.
 Offers: `Settings` and the readers of its parts.
-Must not import: any room but `values`.
+Must not import: any package but `values`.
 """

@@ -2,5 +2,5 @@
 
 Owns: program descriptions, event transactions, calls of extern functions, three-valued properties, guard skipping.
 Offers: `Program`, `Property`, `Runner`.
-Must not import: any room but `values` and `config`.
+Must not import: any package but `values` and `config`.
 """

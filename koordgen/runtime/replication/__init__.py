@@ -2,7 +2,7 @@
 
 Owns: the logs of rounds, lock arbitration, views, retransmission, failure detection, rejoin and state transfer.
 Offers: `Replica`, the protocol as a pure state machine; `Driver`, which does its I/O.
-Must not import: `vehicle` or any room above it.
+Must not import: `vehicle` or any package above it.
 
 The protocol in ten minutes
 ===========================

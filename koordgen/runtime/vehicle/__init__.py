@@ -2,4 +2,4 @@
 
 Owns: the platform interface, ports, geofence and stale positions, drivers of users, feeds, lidar scans.
 Offers: `Platform` to targets, `VehicleInterface` to the agent.
-Must not import: `trace` or any room above it."""
+Must not import: `trace` or any package above it."""

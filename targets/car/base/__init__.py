@@ -2,5 +2,5 @@
 
 Owns: the kinematic bicycle model, the car's settings.
 Offers: `bicycle`, `settings.CarSettings`.
-Must not import: any other room of `car`.
+Must not import: any other package of `car`.
 """

@@ -2,5 +2,5 @@
 
 Owns: simulated ArduPilot and PX4 copters, rovers, VESCs, and the link to a real ArduPilot.
 Offers: devices, made by `run.scene`.
-Must not import: runs, traces, or any room above them.
+Must not import: runs, traces, or any package above them.
 """

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SIMULATOR = "the simulator"
 SHARE = 0.5  # share of an event's time; an event that had no core for longer was late because of the host
 STARVED = 0.5  # seconds without a core after which bodies may leave their intended motion
-AFTER = 1.0  # seconds for which such a gap explains the motion of bodies
+AFTER = 1.0  # seconds for which a time of STARVED seconds without a core explains the motion of bodies
 KEPT = 5.0  # seconds of samples kept: a round is recorded some rounds after it happened
 SAMPLES = 4  # per round
 LEAST_PERIOD, MOST_PERIOD = 0.005, 0.05  # seconds between two samples

@@ -24,7 +24,7 @@ Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not sta
 
 LEFT_OPEN = "; not judged to the end: "  # separates a run's reason from properties that were not fully judged
 MOST_WARNINGS = 50  # distinct warnings kept per robot
-AGAIN = "run it again with --lockstep, or when the host has less to do"
+AGAIN = "run the simulation again with --lockstep, or when the host has less to do"
 
 
 class Stalled(msgspec.Struct):

@@ -2,5 +2,5 @@
 
 Owns: the world, broad phase, contact engines, ray casting, wind, copters, cars and tyres.
 Offers: `world.SimulatedWorld`, `engines.make`.
-Must not import: sensing, autopilots, or any room above them.
+Must not import: sensing, autopilots, or any package above them.
 """

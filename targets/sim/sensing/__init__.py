@@ -2,5 +2,5 @@
 
 Owns: lidar scans, poses from outside, a GPS of its own.
 Offers: devices.
-Must not import: autopilots, or any room above them.
+Must not import: autopilots, or any package above them.
 """

@@ -67,7 +67,7 @@ def test_it_is_told_at_the_call_and_how_to_mend_it() -> None:
         "Look may take longer than half of a round: up to 8 port calls, 8 x 10 ms = 80 ms; half of a round is 50 ms"
     )
     assert found.help == (
-        "5 calls fit into half of a round of 100 ms: loop over a list with a smaller 'max', "
+        "5 calls fit into half of a round of 100 ms: loop over a list that is declared with a smaller 'max', "
         "or set planner_budget in the fleet file to 6.25 ms or less if the planner can keep it"
     )
     assert check_calls(checked(text), 4, 0.2, 0.01) == []

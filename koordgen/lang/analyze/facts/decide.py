@@ -1,8 +1,8 @@
 """Decision procedure for linear integer conditions: refutes formulas, or finds satisfying examples.
 
-`unsat` is sound: True means that no integers satisfy the formulas (Fourier-Motzkin elimination, with rows tightened to
-integers, on each branch of the disjunctions). `find` searches an example among small values. Neither is complete; if
-both fail, nothing is known.
+`unsat` is sound: if it returns True, no integers satisfy the formulas. It uses Fourier-Motzkin elimination, with bounds
+tightened to integers, on each branch of the disjunctions. `find` searches an example among small values. Neither is
+complete: if both fail, it remains unknown whether the formulas can be satisfied.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ _FLEET_NAMES = {PID, N_SYS}
 def unsat(formulas: Iterable[Formula]) -> bool:
     """Return whether no robot of any fleet can satisfy all formulas.
 
-    The result False may also mean that a limit was reached.
+    The result False may also mean that the search reached a limit.
     """
     return _unsat(tuple(formulas))
 
 
-@lru_cache(1000)  # programs use the same index in many events, so the same question is asked repeatedly
+@lru_cache(1000)  # programs use the same index in many events, so the same formulas occur repeatedly
 def _unsat(formulas: tuple[Formula, ...]) -> bool:
     return _is_refuted([*formulas, *FLEET], [], {}, frozenset(), [MOST_BRANCHES])
 
@@ -96,7 +96,7 @@ def _is_refuted(
     open_: list[Or] = []
     ways: list[tuple[Formula, ...]] = []
     limits: _Limits = {}
-    while pending:  # until each disjunction has two or more possible parts
+    while pending:  # repeat until each disjunction has at least two parts that are still possible
         while pending:
             match formula := pending.pop():
                 case AtLeastZero(linear):
@@ -201,7 +201,7 @@ def _holds_at_limits(rows: list[Linear], limits: _Limits) -> bool:
 
 
 def _truth_within(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
-    """Return whether a formula holds, by limits and facts alone; None if they do not decide it."""
+    """Return whether the variables' limits and the facts decide that a formula holds; None if they do not."""
     match formula:
         case AtLeastZero(linear):
             least, most = _least(linear, limits, 1), _least(linear, limits, -1)
@@ -234,7 +234,7 @@ def _least(linear: Linear, limits: _Limits, sign: int) -> int | None:
 
 
 def _definition(var: Var) -> list[Formula]:
-    """Return the conditions that define a derived variable, such as a quotient."""
+    """Return the conditions that define a variable that stands for another term, such as a length or quotient."""
     match var:
         case Length():
             return [at_least(variable(var), constant(0))]
@@ -274,7 +274,7 @@ def _is_contradictory(rows: Iterable[Linear]) -> bool:
                 counts.setdefault(var, [0, 0])[factor > 0] += 1
         if not counts:
             return False
-        # Over integers, elimination is exact only for variables with factors 1 and -1: these go first.
+        # Over integers, elimination is exact only for variables with factors 1 and -1, so these are eliminated first.
         rough = {var for terms in system for var, factor in terms if abs(factor) != 1}
         least = min(counts, key=lambda v: (v in rough, counts[v][0] * counts[v][1]))
         lower, upper, rest = [], [], {}
@@ -300,7 +300,7 @@ def _is_contradictory(rows: Iterable[Linear]) -> bool:
 def _add(system: dict[tuple[tuple[Var, int], ...], int], sums: dict[Var, int], bound: int) -> bool:
     """Add the row sums + bound >= 0, divided by the gcd of its factors.
 
-    Returns False if it can never hold.
+    Returns False if the row can never hold.
     """
     kept = [(var, factor) for var, factor in sums.items() if factor]
     if not kept:
@@ -317,14 +317,14 @@ def _order(term: tuple[Var, int]) -> str:
 
 
 class Example(Node):
-    """Values that satisfy some formulas. `certain`: no unknown condition or value is involved."""
+    """Values that satisfy some formulas. `certain` is True if the formulas have no unknown condition or value."""
 
     values: dict[str, int]
     certain: bool
 
 
 def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | None:
-    """Search an example that satisfies the formulas; None if none is found.
+    """Search values that satisfy the formulas; return None if the search finds none.
 
     Tries small values, and values near the constants in the formulas. `params` has fixed values of variables. Prefers
     certain examples, then fleets of three robots, which read best.

@@ -25,7 +25,7 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import Node
 
-# Forgetting a fact is always sound. The limits keep the time for each line constant, however long an event is.
+# It is always sound to forget a fact. These limits keep the time for each line constant, however long an event is.
 MOST_FACTS = 12
 MOST_VALUES = 20
 
@@ -36,9 +36,10 @@ _FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 
 
 class KnownCondition(Node):
-    """A condition that holds.
+    """Condition that is known to hold.
 
-    `about` has the variables that it depends on, `origin` the condition of the program that it comes from.
+    `about` is the set of the variables that it depends on. `origin` is the condition in the program from which it was
+    derived.
     """
 
     formula: Formula
@@ -47,11 +48,12 @@ class KnownCondition(Node):
 
 
 class Flow(Node):
-    """Facts known at a point. Immutable.
+    """Facts known at a point of the program. Immutable.
 
-    `known` has the conditions that hold, the event's guard first. `values` has variables whose value is known as a term
-    or a condition, each with the variables that it depends on. Its keys are names by `variable_of`, after `len ` for
-    the variable's length. `about` is a superset of all variables that the facts depend on.
+    `known` lists the conditions that hold, the event's guard first. `values` maps a variable to its value, if that is
+    known as a term or a condition, and to the set of the variables that the value depends on. Its keys are names as
+    `variable_of` returns them; with the prefix `len ` a key stands for the variable's length. `about` is a superset of
+    all variables that the facts depend on.
     """
 
     known: tuple[KnownCondition, ...] = ()
@@ -90,7 +92,7 @@ class Flow(Node):
         return kept
 
     def assuming(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
-        """Return these facts and a condition. `about` has its variables, if the caller knows them."""
+        """Return these facts with one more condition. `about` is the set of its variables, if the caller knows it."""
         if condition is UNKNOWN or (type(condition) is And and not condition.parts):
             return self
         if about is None:
@@ -99,9 +101,9 @@ class Flow(Node):
         return Flow((*known, KnownCondition(condition, about, condition)), self.values, self.about | about)
 
     def forgetting(self, names: frozenset[str], sized: frozenset[str] = frozenset()) -> Flow:
-        """Return these facts without those that depend on `names`.
+        """Return these facts without those that depend on the variables `names`.
 
-        Facts about the lengths of `sized` are kept.
+        Facts that depend only on the lengths of the variables in `sized` are kept.
         """
         if names.isdisjoint(self.about):
             return self
@@ -120,9 +122,9 @@ class Flow(Node):
     def assigned(self, name: str, value: Linear | Formula | None, length: bool = False) -> Flow:
         """Return the facts after an assignment.
 
-        `value` is the new value, or the new length, None if it is unknown.
+        `value` is the new value or the new length; None if it is unknown.
 
-        Facts about the old value are dropped. A step such as `n = n + 1` shifts them instead.
+        Facts about the old value are dropped. An assignment such as `n = n + 1` rewrites them for the new value.
         """
         if value is None:
             return self.forgetting(frozenset((name,)))
@@ -155,7 +157,7 @@ class Flow(Node):
         return flow.assuming(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
 
     def joined(self, other: Flow) -> Flow:
-        """Return the facts known on both of two paths that meet."""
+        """Return the facts after two paths meet: those that are known at the ends of both."""
         if self is other:
             return self
         same = {id(known) for known in other.known}
@@ -166,7 +168,7 @@ class Flow(Node):
 
 
 def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[KnownCondition]:
-    """Return the range of a variable that holds a remainder: it remains known after the dividend changed."""
+    """Return the range of a variable whose value is a remainder. It stays known if the dividend changes later."""
     match value:
         case Linear(((Remainder(_, divisor), 1),), 0) if not name.startswith("len "):
             term = linear.variable(name)
@@ -183,12 +185,15 @@ def _same_value(first: _Valued, second: _Valued) -> bool:
 
 
 def _owner(name: str) -> str:
-    """Return the variable of a key of `values`, which may stand for its length."""
+    """Return the variable to which a key of `values` belongs; the key may stand for the variable's length."""
     return name.removeprefix("len ")
 
 
 def _remaining(known: KnownCondition, names: _Names) -> tuple[KnownCondition, ...]:
-    """Return what remains of a fact when some variables change: of a conjunction, the parts without them."""
+    """Return the part of a fact that stays true when some variables change.
+
+    From a conjunction, the parts that depend on these variables are removed.
+    """
     if known.about.isdisjoint(names):
         return (known,)
     if not isinstance(known.formula, And):
@@ -202,7 +207,10 @@ def _remaining(known: KnownCondition, names: _Names) -> tuple[KnownCondition, ..
 
 
 def independent(item: Linear | Formula, names: _Names, sized: _Names) -> bool:
-    """Return whether a term or formula keeps its value when `names` change, all but lengths of `sized`."""
+    """Return whether a term or formula keeps its value when the variables `names` change.
+
+    The lengths of the variables in `sized` do not change.
+    """
     formula = AtLeastZero(item) if isinstance(item, Linear) else item
     return all(n in sized and _occurs_only_as(Length(n), n, formula) for n in names_of(item) & names)
 
@@ -280,7 +288,7 @@ def names_of_var(var: Var) -> frozenset[str]:
 def _add_reads(key: object, found: set[str]) -> None:
     """Add the variables that an expression depends on.
 
-    Of a tuple such as (operator, operand): those of the expressions in it.
+    From a tuple such as (operator, operand), adds the variables of the expressions in the tuple.
     """
     if isinstance(key, tuple):
         for part in key:

@@ -21,23 +21,24 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.tree import statements
 from koordgen.lang.ir.types import INT
 
-MOST_PATHS = 16  # paths through a loop's block
-MOST_COUNTERS = 4  # variables of one loop for which bounds are guessed
+MOST_PATHS = 16  # limit on the paths through a loop's block; with more paths, no invariant is proved
+MOST_COUNTERS = 4  # limit on the variables of one loop for which bounds are guessed
 
-Candidate = Callable[[Flow], Formula]  # facts at a point -> the candidate as a condition there
+# A candidate for a loop invariant: maps the facts known at a point to the candidate's formula at this point.
+Candidate = Callable[[Flow], Formula]
 Step = Callable[[Flow], Flow]
 
 
 class LoopModel(NamedTuple):
     """Loop, described for induction.
 
-    `before` has the facts before the loop; `start` those at its head, which depend only on what the loop does not
-    change: variables outside of `changed`, and lengths of variables in `sized`. `enter` adds the facts at the begin of
-    an iteration, `leave` those when the loop ends without `break`.
+    `before` holds the facts before the loop. `start` holds the facts at the loop's head, which depend only on values
+    that the loop does not change: variables outside of `changed`, and lengths of variables in `sized`. `enter` adds the
+    facts at the beginning of an iteration, `leave` the facts when the loop ends without `break`.
 
-    For a loop that counts, `first`, `next` and `last` set its variable to the value at the loop's begin, in the next
-    iteration, and at its end. `counter` is that variable. `stop` is the first value that it does not take, if it counts
-    up and the value is known.
+    For a loop over a range or `ID`, `counter` is the loop's variable. `first`, `next` and `last` set this variable to
+    its value at the loop's beginning, in the next iteration, and at the loop's end. `stop` is the first value that the
+    variable does not take, if it counts up and the value is known.
     """
 
     before: Flow
@@ -55,14 +56,14 @@ class LoopModel(NamedTuple):
 
 
 class ProvedCandidates(NamedTuple):
-    """Conditions that hold at the head of each iteration, and those of them that also hold after the loop."""
+    """Candidates that are proved at the head of each iteration, and the subset that also holds after the loop."""
 
     inside: tuple[Candidate, ...]
     after_loop: tuple[Candidate, ...]
 
 
 class _Paths:
-    """Ends of an iteration, and exits by `break`, each with the facts known there."""
+    """Facts known at each end of an iteration, and at each `break` that leaves the loop."""
 
     def __init__(self) -> None:
         self.turned: list[Flow] = []
@@ -70,14 +71,14 @@ class _Paths:
 
 
 class _TooManyPaths(Exception):
-    """The block has more paths through it than `MOST_PATHS`."""
+    """Raised if there are more than `MOST_PATHS` paths through a loop's block."""
 
 
 def kept(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
     """Return the candidates that always hold at the loop's head.
 
-    Sound: each of them is proved before the loop, and at the end of each path through the block under the assumption
-    that all of them hold at its head.
+    The result is sound: each candidate is proved before the loop, and also at the end of each path through the block,
+    under the assumption that all returned candidates hold at the loop's head.
     """
     begins = model.first(model.before)
     found = [candidate for candidate in candidates if _proved(candidate, begins)]
@@ -126,7 +127,7 @@ def _proved(candidate: Candidate, flow: Flow) -> bool:
 
 
 def _paths_through(block: stmt.Block, flows: list[Flow], paths: _Paths) -> list[Flow]:
-    """Return the facts at the end of a block, for each path to it. Raises _TooMany."""
+    """Return the facts at the end of a block, for each path to its end. Raises _TooManyPaths."""
     for statement in block:
         match statement:
             case stmt.Assign(place, value):
@@ -184,12 +185,12 @@ def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
 
 
 def declared_candidates(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
-    """Return the program's loop invariants as candidates, one for each condition that `and` joins."""
+    """Return the program's loop invariants as candidates, one for each condition that 'and' joins."""
     return [_holds(part) for invariant in invariants for part in conjuncts(invariant.formula)]
 
 
 def conjuncts(node: ir.Expr) -> list[ir.Expr]:
-    """Return the conditions that a condition joins by `and`."""
+    """Return the parts of a condition that 'and' joins."""
     if isinstance(node, ir.Logic) and node.op == "and":
         return conjuncts(node.left) + conjuncts(node.right)
     return [node]
@@ -200,9 +201,9 @@ def _holds(node: ir.Expr) -> Candidate:
 
 
 def guessed_bounds(model: LoopModel, condition: ir.Expr | None) -> list[Candidate]:
-    """Return guessed bounds of the ints that a loop writes.
+    """Return guessed bounds of the int variables that a loop writes.
 
-    Bounds are their initial values, the condition of `while`, and the loop's variable.
+    The guesses use the variables' values before the loop, the condition of `while`, and the loop's variable.
     """
     reads = dict.fromkeys(_assigned_ints(model.block))
     found: list[Candidate] = []
@@ -211,7 +212,7 @@ def guessed_bounds(model: LoopModel, condition: ir.Expr | None) -> list[Candidat
         if isinstance(begin, Linear) and independent(begin, model.changed, model.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
         found += _known(read, model)
-        if model.stop is not None:  # for a search: the index of a match is at most the current index
+        if model.stop is not None:  # a loop may search an index: a saved index is at most the current index
             here = linear.variable(model.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
             found.append(_at_most(read, linear.combine(model.stop, linear.constant(-1))))
@@ -244,7 +245,7 @@ def _assigned_ints(block: stmt.Block) -> Iterator[ir.Expr]:
 
 
 def _known(read: ir.Expr, model: LoopModel) -> Iterator[Candidate]:
-    """Yield the comparisons of a variable that are known before the loop."""
+    """Yield the comparisons with a variable that are known to hold before the loop."""
     name = variable_of(read)
     for fact in model.before.facts:
         for part in fact.parts if isinstance(fact, linear.And) else (fact,):

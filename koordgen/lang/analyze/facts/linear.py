@@ -1,7 +1,7 @@
 """Linear integer terms, and conditions over them.
 
-The variables of a term may be plain variables, lengths of lists, ints within values, and quotients, remainders and
-choices of other terms.
+A variable of a term is a plain variable, named by a str, or a derived variable: the length of a list, an int that is a
+part of a value, or a quotient, remainder or conditional choice of other terms.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class ConditionalTerm(Node):
 class Length(Node):
     """Length (>= 0) of a list, queue, set, map or string.
 
-    `of` is the variable's name, or for a part of a value the expression that reads it.
+    `of` is the name of the variable. For a part of a value, `of` is the expression that reads the part.
     """
 
     of: object
 
 
 class Value(Node):
-    """An int that is a part of a value. `of` is the expression that reads it."""
+    """Int that is a part of a value. `of` is the expression that reads this int."""
 
     of: object
 
@@ -86,7 +86,7 @@ class Or(Node):
 
 
 class UnknownCondition(Node):
-    """Condition of which nothing is known. Its negation is unknown, too."""
+    """Condition whose truth is unknown. Its negation is unknown, too."""
 
 
 Formula = AtLeastZero | BoolFact | And | Or | UnknownCondition
@@ -215,7 +215,7 @@ def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
 
 
 def variables(item: Formula | Linear | Var) -> Iterator[object]:
-    """Yield a formula's plain variables, the keys of its facts, and the `of` of its lengths and values."""
+    """Yield the plain variables of a formula, the keys of its BoolFacts, and `of` of each Length and Value."""
     match item:
         case Linear(terms):
             for var, _ in terms:
@@ -277,6 +277,9 @@ def _name(var: Var) -> str:
 
 
 def substitute(linear: Linear, var: str, by: Linear) -> Linear:
-    """Return a term with a plain variable replaced. Derived variables are not changed."""
+    """Return a term with the plain variable `var` replaced by the term `by`.
+
+    Occurrences of `var` within derived variables, such as a quotient, are not replaced.
+    """
     factor = dict(linear.terms).get(var, 0)
     return combine(combine(linear, variable(var), -factor), by, factor)

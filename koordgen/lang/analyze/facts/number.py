@@ -1,4 +1,4 @@
-"""Constant folding of numbers: values of expressions of literals and params."""
+"""Constant folding: computes the values of numeric expressions that consist of literals and params."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NO_PARAMS: Params = {}
 
 
 def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
-    """Return the value of a constant expression of numbers; None if it is not constant or has no value."""
+    """Return the value of a numeric expression; None if it is not constant or has no value."""
     try:
         return compute(node, params)
     except (ValueError, ArithmeticError):
@@ -28,7 +28,7 @@ def number_of(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
 
 
 def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
-    """Return the innermost part of an initial value that is infinite, or None. No variable may be infinite."""
+    """Return the innermost infinite part of an initial value, or None. Variables cannot store infinity."""
     for part in reversed(list(walk(value))):
         number = number_of(part, params) if isinstance(part, (ir.Binary, ir.Unary)) and part.type is FLOAT else None
         if number is not None and math.isinf(number):
@@ -37,9 +37,9 @@ def too_large(value: ir.Expr, params: Params) -> ir.Expr | None:
 
 
 def compute(node: ir.Expr, params: Params = _NO_PARAMS) -> float | None:
-    """Return the value as `number_of` does.
+    """Return the value of a numeric expression; None if it is not constant.
 
-    Raises ValueError or OverflowError if the outermost operation has none.
+    Raises ValueError or OverflowError if the outermost operation has no value.
     """
     match node:
         case ir.Const(int() | float() as value):

@@ -18,13 +18,13 @@ from koordgen.lang.ir import stmt
 
 
 class Path:
-    """Program point, reached from one or more earlier points by a step."""
+    """Program point, with the points before it on the paths through the program."""
 
     __slots__ = ("_before", "_flow", "_step")
 
     def __init__(self, before: tuple[Path, ...] = (), step: Callable[..., Flow] = Flow) -> None:
         self._before = before
-        self._step = step  # facts at the earlier points -> facts at this point
+        self._step = step  # computes the facts at this point from those at earlier points
         self._flow: Flow | None = None
 
     @property
@@ -38,7 +38,7 @@ class Path:
     def _compute(self) -> None:
         """Compute the facts of this point.
 
-        Iterative, because an event may be longer than Python's stack allows.
+        The computation is iterative, because a recursion over a long event would exceed Python's stack.
         """
         pending = [self]
         while pending:
@@ -52,15 +52,15 @@ class Path:
                     path._before, path._step = (), Flow
 
     def passing(self, condition: Condition) -> Path:
-        """Return the point after this one where a condition, evaluated here, holds."""
+        """Return the point after this one on the path on which a condition, evaluated here, is true."""
         return Path((self,), lambda flow: flow.assuming(condition.formula))
 
     def failing(self, condition: Condition) -> Path:
-        """Return the point after this one where a condition, evaluated here, does not hold."""
+        """Return the point after this one on the path on which a condition, evaluated here, is false."""
         return Path((self,), lambda flow: flow.assuming(linear.negate(condition.formula)))
 
     def assigning(self, place: stmt.Place, value: ir.Expr) -> Path:
-        """Return the point after `place = value`."""
+        """Return the point after the assignment `place = value`."""
         return Path((self,), lambda flow: after_assignment(flow, place, value))
 
 
@@ -76,21 +76,21 @@ class Condition:
 
     @property
     def formula(self) -> Formula:
-        """Condition as a formula: always the same object, so that it can be compared by identity."""
+        """Formula of this condition. It is always the same object, so that it can be compared by identity."""
         if self._formula is None:
             self._formula = formula(self.node, self._path.flow)
         return self._formula
 
 
 def known(flow: Flow) -> Path:
-    """Return a point with these facts."""
+    """Return a program point at which the given facts are known."""
     path = Path()
     path._flow = flow
     return path
 
 
 def joined(ends: list[Path | None]) -> Path | None:
-    """Return the point where several paths meet; None if none of them is reachable."""
+    """Return the point where several paths meet; None if no path is reachable."""
     reached = tuple(dict.fromkeys([end for end in ends if end is not None]))
     return Path(reached, _join) if len(reached) > 1 else reached[0] if reached else None
 
@@ -108,8 +108,9 @@ def _join(*flows: Any) -> Flow:
 def is_open(condition: ir.Expr, mentioned: AbstractSet[str]) -> bool:
     """Return whether a condition and its negation are both possible, by a quick test of its form.
 
-    True if it only compares literal numbers with variables that are not `mentioned` before, so no facts about them
-    exist, and names each variable once. False means that the condition must be analysed.
+    Returns True if the condition only compares literal numbers with variables, names each variable once, and no
+    variable is in `mentioned`, so that no facts about the variables exist. The result False means that the condition
+    must be analysed.
     """
     names: list[str] = []
     return _is_free(condition, names) and len(names) == len(set(names)) and mentioned.isdisjoint(names)
@@ -125,7 +126,7 @@ def _is_free(node: ir.Expr, names: list[str]) -> bool:
     if kind is ir.Compare:
         left, right = node.left, node.right  # type: ignore[union-attr]
         if type(left) is ir.Pid and type(right) is ir.Const:
-            # The fleet may have any size, so every index >= 0 belongs to some robot; below 0 there is none.
+            # The fleet may have any size, so every pid >= 0 belongs to some robot of some fleet. No pid is below 0.
             names.append("pid")
             return right.value >= (1 if node.op in ("<", ">=") else 0)  # type: ignore[union-attr, operator]
         node = left.operand if type(left) is ir.Widen else left

@@ -1,4 +1,8 @@
-"""First and last iteration of a counting loop, if each iteration evaluates a given expression."""
+"""Values of a `for` loop's variable in its first and last iteration, for loops over a range or `ID`.
+
+They are computed only if every iteration is certain to evaluate a given expression, such as an index. If the expression
+is wrong for one of these values, it is certainly wrong when the loop runs.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +23,9 @@ from koordgen.lang.source import Span
 class Loop(NamedTuple):
     """A `for` over a range or over ID whose block is being analysed.
 
-    `name` is its variable's name in the program, `temp` its name in a Flow. `before` has the facts before the loop.
-    `changed` has the outer variables that its block may change; the lengths of those in `sized` do not change.
+    `name` is the name of the loop's variable in the program, and `temp` is its name in a Flow. `before` holds the facts
+    before the loop. `changed` is the set of outer variables that the loop's block may change; the lengths of the
+    variables in `sized` do not change.
     """
 
     name: str
@@ -33,7 +38,11 @@ class Loop(NamedTuple):
 
 
 class CertainIterations(NamedTuple):
-    """Iterations of a loop: values of its variable, and facts before the loop if it has an iteration."""
+    """Iterations of a loop that evaluate an expression.
+
+    `values` has the values of the loop's variable in these iterations. `flow` has the facts before the loop, with the
+    condition that the loop has at least one iteration.
+    """
 
     values: tuple[Linear, ...]
     flow: Flow
@@ -42,7 +51,8 @@ class CertainIterations(NamedTuple):
 def certain_iterations(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> CertainIterations | None:
     """Return the last and the first iteration if every iteration evaluates the expression at `span`.
 
-    Returns None if one may skip it, or if `terms` may depend on variables that earlier iterations changed.
+    Returns None if an iteration may skip the expression, or if `terms` may depend on variables that earlier iterations
+    changed.
     """
     ends = _ends(loop)
     if (
@@ -57,9 +67,9 @@ def certain_iterations(loop: Loop, span: Span, terms: tuple[Linear, ...]) -> Cer
 
 
 def _ends(loop: Loop) -> tuple[Linear, Linear | None, Formula] | None:
-    """Return the variable's first value, its last one or None, and the condition that there is one.
+    """Return the first value of a loop's variable, its last value, and the condition that there is an iteration.
 
-    Returns None if unknown.
+    The last value is None if it is unknown. Returns None if the first value or the condition is unknown.
     """
     match loop.values:
         case ir.Ids():
@@ -79,7 +89,7 @@ _LEAVING = (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop, draft.UnparsedStm
 
 
 def _may_skip(node: Node, loop: Loop) -> bool:
-    """Return whether a statement may end an iteration early, or changes the loop's variable."""
+    """Return whether a statement may end an iteration of the loop early, or changes the loop's variable."""
     return isinstance(node, _LEAVING) or (isinstance(node, stmt.Assign) and variable_of(node.place) == loop.temp)
 
 
@@ -106,7 +116,7 @@ def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
 
 
 def _in_expression(root: ir.Expr, span: Span) -> bool:
-    """Return whether an expression always evaluates its part at `span`.
+    """Return whether the evaluation of an expression always evaluates the part of it at `span`.
 
     Returns False if an `and`, `or`, `if` or quantifier may skip it.
     """

@@ -30,13 +30,13 @@ _MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 _VARIABLES = frozenset((ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead, ir.ParamRead))
 _PARTS = frozenset((ir.SlotRead, ir.Field, ir.Item, ir.At, ir.LocalOf, ir.PortOf))
 _SIZE, _PID = linear.variable(linear.N_SYS), linear.variable(linear.PID)
-# Change of length by each update. An update that is missing may or may not change the length.
+# Change of the length by each updating builtin. A builtin that is missing here may change the length in any way.
 _STEPS = {"appended": 1, "inserted": 1, "removed": -1, "without": -1, "popped": -1, "updated": 0, "sorted": 0,
           "reversed": 0, "set_without": -1, "map_without": -1, "keys": 0, "values": 0, "items": 0}  # fmt: skip
 
 
 def term(node: ir.Expr, flow: Flow) -> Linear | None:
-    """Return an expression as a linear integer term, or None. A widened int counts as the int."""
+    """Return an expression as a linear integer term, or None. For an int converted to a float, use the int."""
     kind = type(node)
     if kind is ir.Const:
         return _constant(node.value)  # type: ignore[union-attr]
@@ -113,7 +113,7 @@ def _arithmetic(node: ir.Binary, flow: Flow) -> Linear | None:
 
 
 def pure(node: ir.Expr) -> bool:
-    """Return whether an expression's value depends on its variables alone: it calls no port."""
+    """Return whether an expression's value depends on its variables only: the expression calls no port."""
     return not any(isinstance(part, ir.PortCall) for part in walk(node))
 
 
@@ -124,7 +124,7 @@ def has_length(type_: Type) -> bool:
 def length(node: ir.Expr, flow: Flow) -> Linear | None:
     """Return the length of a list, queue, set, map or string as a term, or None.
 
-    N_SYS for an allread variable.
+    For an allread variable as a whole, which has one value for each robot, the length is N_SYS.
     """
     kind = type(node)
     if isinstance(node.type, PerRobot) or kind is ir.Ids:
@@ -162,7 +162,7 @@ def length(node: ir.Expr, flow: Flow) -> Linear | None:
 
 
 def formula(node: ir.Expr, flow: Flow) -> Formula:
-    """Return a bool expression as a formula. Parts that have no formula become Unknown."""
+    """Return a bool expression as a formula. Parts that cannot be translated become UNKNOWN."""
     kind = type(node)
     if kind is ir.Compare:
         return _comparison(node.op, node.left, node.right, flow)  # type: ignore[union-attr]
@@ -234,14 +234,14 @@ def _nonzero_by(op: str, value: ir.Expr, bound: ir.Expr) -> Formula:
         return UNKNOWN
     number = number_of(bound)
     if number is None:
-        # A param: the conclusion depends on its value.
+        # If the bound is a param, the conclusion depends on the param's value.
         implied = (
             linear.Or((BoolFact(value, True), BoolFact((op, bound), False))) if type(bound) is ir.ParamRead else UNKNOWN
         )
         return linear.And((UNKNOWN, implied))
     if op == "==" and number == 0:
         return BoolFact(value, False)
-    # The comparison implies that the value is not zero, but not the reverse; UNKNOWN keeps the negation unknown.
+    # The comparison implies that the value is not zero, but the converse is false. UNKNOWN keeps the negation unknown.
     return linear.And((UNKNOWN, BoolFact(value, True))) if excludes_zero(op, number) else UNKNOWN
 
 

@@ -18,9 +18,9 @@ from koordgen.lang.source import Source
 
 
 class Site(Node):
-    """An index or a divisor in an effect.
+    """Index or divisor in the effect of an event.
 
-    It is wrong if `facts`, which leave out the guard, and `bad` hold.
+    The index or divisor is wrong in a state in which both `facts` and `bad` hold. `facts` do not include the guard.
     """
 
     facts: tuple[Formula, ...]
@@ -48,7 +48,7 @@ class Analysis(Reporter):
     def __init__(self, source: Source, params: Iterable[Param]) -> None:
         super().__init__(source)
         self.params = {param.name: param for param in params}
-        self.defaults: dict[str, int] = {}  # "param k" -> its default, for examples
+        self.defaults: dict[str, int] = {}  # "param k" -> default of the param k, for examples in messages
         for param in self.params.values():
             value = term(param.default, Flow()) if param.type == INT else None
             if value is not None and not value.terms:
@@ -56,23 +56,23 @@ class Analysis(Reporter):
         self.enter("constant")
 
     def enter(self, place: Section) -> None:
-        """Begin a section, without facts."""
+        """Begin the analysis of a section: reset the attributes that belong to one section."""
         self.place: Section = place
         self.path: Path | None = Path()  # None: this point is unreachable
         self.guard: Condition | None = None
         self.mentioned: set[str] = set()  # local and shared variables, and "pid", that have been used so far
         self.poisoned = False  # a condition on the path is wrong, so code that depends on it is not checked
         self.sites: list[Site] = []
-        self.refuted: list[int] = []  # positions in `found` of errors about sites
+        self.refuted: list[int] = []  # indices in `found` of errors about indices and divisors
         self.read_shared: set[str] = set()
         self.written_shared: set[str] = set()
         self.loops = 0  # number of enclosing loops
         self.loop: Loop | None = None  # the innermost `for`, if it is over a range or over ID
-        self.transaction = False  # the event contains `atomic`
+        self.transaction = False  # True if the event contains `atomic`
 
     @property
     def flow(self) -> Flow | None:
-        """Facts at the current point; None: it is unreachable."""
+        """Facts at the current point; None if the point is unreachable."""
         return None if self.path is None else self.path.flow
 
     @flow.setter
@@ -80,12 +80,12 @@ class Analysis(Reporter):
         self.path = None if flow is None else known(flow)
 
     def saved_state(self) -> SavedState:
-        """Save the current state, for `restore`."""
+        """Return a copy of the current state, to which `restore` can return."""
         kept = {name: _copied(value) for name, value in vars(self).items() if name not in _LASTING}
         return SavedState(len(self.found), kept)
 
     def restore(self, saved_state: SavedState) -> None:
-        """Restore a saved state; diagnostics since then are dropped."""
+        """Restore a saved state; drop the diagnostics that were added after it was saved."""
         del self.found[saved_state.found :]
         vars(self).update({name: _copied(value) for name, value in saved_state.kept.items()})
 

@@ -18,7 +18,7 @@ from koordgen.lang.source import Span
 
 
 def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether a divisor is proved to differ from zero. Reports one that is, or may be, zero."""
+    """Return whether a divisor is proved to differ from zero. Reports a divisor that is, or may be, zero."""
     if type(divisor) is ir.Widen and type(divisor.operand) is ir.Const:
         divisor = divisor.operand
     if type(divisor) is ir.Const and divisor.value:

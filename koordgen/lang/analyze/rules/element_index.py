@@ -1,6 +1,6 @@
 """K030, K034, K036: indices of lists, queues and strings must be in range.
 
-Negative ones do not count from the end.
+Negative indices do not count from the end, as they do in Python.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, a: Analysis) ->
 def _element_refuted(
     sides: tuple[Formula, Formula], bad: Formula, value: Linear, size: Linear, span: Span, a: Analysis
 ) -> bool:
-    """Report an index that is always wrong, or wrong for an example. Returns whether it was reported."""
+    """Report an index that is wrong in all states, or in some state. Returns whether an error was reported."""
     text = a.text(span)
     if is_impossible(linear.negate(bad), a) and not is_impossible(linear.TRUE, a):
         many = "" if size.terms else f": there are {size.constant} elements" if size.constant != 1 else ": there is one"
@@ -82,7 +82,7 @@ def _element_refuted(
 def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
     """Return whether the end of a slice, or the position of an insertion, is proved to be >= 0.
 
-    If it is not, this is reported.
+    A position that is not proved to be >= 0 is reported.
     """
     if a.flow is None or a.poisoned:
         return False

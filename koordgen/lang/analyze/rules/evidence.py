@@ -35,14 +35,15 @@ def unproved_side(value: Linear | None, size: Linear | None, index: str, many: s
 
 
 def missing_condition(open_: str) -> str:
-    """Return the end of a message about an unproved condition; empty if the condition is long."""
+    """Return the end of a message, which names the unproved condition; empty if the condition is long."""
     return f": nothing shows that {open_}" if 0 < len(open_) <= 60 else ""
 
 
 def is_right_by_default(bad: Formula, a: Analysis) -> bool:
-    """Return whether `bad` cannot hold if all params have their defaults.
+    """Return whether the error condition `bad` cannot hold if all params have their default values.
 
-    Then nothing is reported. A fleet file may give other values, so the condition is still checked at run time.
+    In this case the rules report nothing. A fleet file may give params other values, so the condition is still checked
+    at run time.
     """
     assert a.flow is not None
     names = names_of(bad)
@@ -53,7 +54,7 @@ def is_right_by_default(bad: Formula, a: Analysis) -> bool:
 
 
 def _default(name: str, a: Analysis) -> list[Formula]:
-    """Return the facts that hold if a param has its default."""
+    """Return the facts that hold if a param has its default value."""
     param = a.params.get(name)
     if param is None:
         return []
@@ -74,7 +75,7 @@ def _default(name: str, a: Analysis) -> list[Formula]:
 
 
 def is_refuted(bad: Formula, a: Analysis) -> bool:
-    """Return whether `bad`, which makes an index or a divisor wrong, cannot hold here.
+    """Return whether `bad`, which makes an index or a divisor wrong, cannot hold at the current point.
 
     In an effect the condition is also saved in `a.sites`, for `opposite_guard`.
     """
@@ -86,7 +87,7 @@ def is_refuted(bad: Formula, a: Analysis) -> bool:
 
 
 def is_impossible(condition: Formula, a: Analysis) -> bool:
-    """Return whether a condition cannot hold here."""
+    """Return whether a condition cannot hold at the current point."""
     assert a.flow is not None
     return unsat((*a.flow.relevant(names_of(condition)), condition))
 
@@ -94,7 +95,7 @@ def is_impossible(condition: Formula, a: Analysis) -> bool:
 def counterexample(side: Formula, bad: Formula, values: tuple[Linear, ...], a: Analysis) -> tuple[Example | None, bool]:
     """Return an example of a robot for which `side` holds, or None, and whether the error is certain.
 
-    It is certain if the example depends on nothing unknown, or if `bad` holds whenever this point is reached.
+    The error is certain if the example depends on no unknown value, or if `bad` holds whenever this point is reached.
     """
     assert a.flow is not None
     names = [var for value in values for var in linear.variables(value)]
@@ -107,7 +108,7 @@ def counterexample(side: Formula, bad: Formula, values: tuple[Linear, ...], a: A
 
 
 def _is_given(name: object, a: Analysis) -> bool:
-    """Return whether an example gives a variable a value."""
+    """Return whether examples choose the value of a variable freely: of `pid`, `N_SYS` or a param in `a.defaults`."""
     return isinstance(name, str) and (name in (PID, N_SYS) or name in a.defaults)
 
 
@@ -137,7 +138,7 @@ def example_text(example: Example, value: Linear) -> str:
 def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: Span, a: Analysis) -> bool:
     """Report an index that is certainly wrong in the first or last iteration of the innermost loop.
 
-    Returns whether it was reported. `many` is the size as Koord writes it.
+    Returns whether an error was reported. `many` is the number of elements, as an expression of Koord.
     """
     runs = None if a.loop is None else certain_iterations(a.loop, span, (value, size))
     if a.loop is None or runs is None:
@@ -159,9 +160,8 @@ def _wrong_run(
 ) -> tuple[Linear, str] | None:
     """Return a value of the loop's variable `var` that makes an index wrong, with the text of an example.
 
-    `runs` has the values to try.
-
-    Prefers a value that makes it wrong for all robots; the text is empty then. None if there is no certain one.
+    `runs` has the values to try. A value for which the index is wrong for all robots is preferred; the text is then
+    empty. Returns None if the index is not certainly wrong for any of the values.
     """
     bad = linear.Or((linear.at_least(value, size), linear.less(value, ZERO)))
     for at in runs:

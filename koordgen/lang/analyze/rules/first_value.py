@@ -1,8 +1,7 @@
 """K057: initial values of params, variables and fields must exist and be storable.
 
-They are known at build time.
-
-The language's semantics evaluates them. It is imported on demand, because most initial values are literals.
+Initial values are known at build time. The rule evaluates them with the executable semantics (`lang.semantics`), which
+is imported on demand, because most initial values are literals and need no evaluation.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ _FITS = "robots store ints of 64 bits, floats up to about 1.8e308, and as much a
 class InitialValueFlaw(NamedTuple):
     """Reason why robots cannot store an initial value.
 
-    `span` is the part that has no value, or None if all parts have one. `reason` completes a sentence about that part,
-    or else about the variable.
+    `span` is the part of the expression that has no value, or None if all parts have values. `reason` is the predicate
+    of a sentence whose subject is this part, or the variable if `span` is None.
     """
 
     span: Span | None
@@ -44,9 +43,8 @@ def check_initial_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> 
 def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
     """Return why an initial value of this type is wrong.
 
-    Returns None if it is right or has an error that is already reported.
-
-    `params` has the values of params.
+    Returns None if the initial value is right, or if it has an error that is already reported. `params` maps the name
+    of each param to its value.
     """
     if _is_literal(value):
         return None

@@ -12,11 +12,10 @@ from koordgen.lang.reporter import Reporter
 
 
 class AnalysedEvent(NamedTuple):
-    """An analysed event.
+    """Event with the results of its analysis.
 
-    `guard` is None if it has an error. `conditions` has the texts of the conditions that the guard joins by `and`.
-
-    `always`: the guard holds in every state.
+    `guard` is None if the guard has an error. `conditions` is the set of the texts of the conditions that the guard
+    joins with 'and'. `always` is True if the guard holds in every state.
     """
 
     event: decl.Event
@@ -28,14 +27,14 @@ class AnalysedEvent(NamedTuple):
 def is_hidden(
     event: decl.Event, hiding: Sequence[AnalysedEvent], first: Sequence[AnalysedEvent], reporter: Reporter
 ) -> bool:
-    """Warn of an event that events in `hiding` hide: its guard holds only if theirs hold.
+    """Warn of an event that can never run because its guard holds only if the guard of an event in `hiding` holds.
 
-    `first` has the events with priority over it. Returns whether it was reported.
+    `first` lists the events that have priority over the event. Returns whether the event was reported.
     """
     ahead = [other for other in hiding if any(other is earlier for earlier in first)]
     if not hiding:
         return False
-    other = min(ahead or hiding, key=lambda analyzed: analyzed.event.span.line)  # name the first one in the text
+    other = min(ahead or hiding, key=lambda analyzed: analyzed.event.span.line)  # the first in the text
     name, earlier = event.name, other.event.name
     label = Label(
         other.event.span,

@@ -14,7 +14,7 @@ _TAKES["acos"] = _TAKES["asin"]
 
 
 def check_power(value: ir.Binary, a: Analysis) -> None:
-    """Report an int with a negative exponent, and a power of floats without a value."""
+    """Report a power of ints with a negative exponent, and a power of constant floats that has no value."""
     if value.type is INT:
         _check_exponent(value.right, value.span, a)
         return
@@ -25,12 +25,12 @@ def check_power(value: ir.Binary, a: Analysis) -> None:
 def _check_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
     value = term(exponent, a.flow) if a.flow is not None else None
     if value is not None and not value.terms and value.constant < 0:
-        help = "with a float on one side it is a float: 2.0 ** -1"
+        help = "a power of which one side is a float is a float: 2.0 ** -1"
         a.error("K012", f"an int to the power of {value.constant} is not an int", span, help)
 
 
 def check_function(value: ir.Builtin, a: Analysis) -> None:
-    """Report a function of a constant for which it has no value."""
+    """Report a call of a builtin function whose constant argument is outside of the function's domain."""
     _check_value(value, f"{value.name} takes {_TAKES.get(value.name, 'smaller numbers')}", a)
 
 

@@ -89,7 +89,10 @@ def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
 
 
 def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, moved: bool) -> bool:
-    """Return whether every path to the end of the block moves the number; True if no path reaches the end."""
+    """Return whether every path to the end of the block changes the number by a step in the right direction.
+
+    Returns True if no path reaches the end.
+    """
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):
@@ -112,7 +115,7 @@ def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, mo
 def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
     """Return whether a statement moves the number in the right direction.
 
-    Raises _Wrong if it changes it otherwise.
+    Raises _Wrong if the statement changes the number in another way.
     """
     if not isinstance(statement, stmt.Assign) or variable_of(statement.place) != name:
         return False
@@ -132,7 +135,7 @@ def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
 
 
 def _step(name: str, value: ir.Expr) -> float:
-    """Return by how much `name = value` changes the variable; 0 if this is not known."""
+    """Return the amount by which `name = value` changes the variable; 0 if the amount is not known."""
     match value:
         case ir.Binary("+" | "-" as sign, first, by) if variable_of(first) == name:
             return _number(by) if sign == "+" else -_number(by)

@@ -11,7 +11,7 @@ from koordgen.lang.source import Span
 
 
 def check_write(name: str, span: Span, a: Analysis) -> None:
-    """Report a write to an allwrite variable that the event has read.
+    """Report a write to an allwrite variable that the event has read before.
 
     No update can be lost under `atomic`, or if only one robot can reach this point in a round.
     """
@@ -35,14 +35,14 @@ def _only_one_robot(a: Analysis) -> bool:
     """
     if a.flow is None:
         return True
-    # Until the round ends, each robot sees its own writes to shared variables, so these values may differ.
+    # Within a round, each robot sees its own writes to shared variables, so two robots may see different values.
     own = {f"shared {name}" for name in a.written_shared}
     here = [fact for fact in a.flow.facts if own.isdisjoint(linear.variables(fact))]
     return _contradictory(here) or (a.guard is not None and _contradictory([a.guard.formula]))
 
 
 def _contradictory(facts: list[linear.Formula]) -> bool:
-    """Return whether the facts cannot hold for two robots at once."""
+    """Return whether the facts cannot hold for two different robots at the same time."""
     pid, another, size = linear.variable(linear.PID), linear.variable(_OTHER), linear.variable(linear.N_SYS)
     return unsat((*facts, *map(_renamed, facts), linear.less(pid, another), linear.less(another, size)))
 

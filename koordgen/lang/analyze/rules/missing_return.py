@@ -10,7 +10,7 @@ from koordgen.lang.reporter import Reporter
 
 
 def check_end(function: decl.Function, reporter: Reporter) -> None:
-    """Report a function whose end is reachable, unless a statement of it could not be parsed."""
+    """Report a function whose end is reachable without 'return', unless a statement in it could not be parsed."""
     parts = list(walk(function.block))
     if any(isinstance(part, UnparsedStmt) for part in parts):
         return

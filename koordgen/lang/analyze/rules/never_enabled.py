@@ -12,12 +12,15 @@ from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import decl
 from koordgen.lang.reporter import Reporter
 
-MOST_EARLIER = 10  # number of guards with priority to consider; leaving guards out only loses warnings
+MOST_EARLIER = 10  # limit on the guards with priority that are considered; with more guards, warnings may be missed
 _NOTHING: frozenset[str] = frozenset()
 
 
 def can_run(event: decl.Event, guard: Condition, first: Sequence[AnalysedEvent], reporter: Reporter) -> bool:
-    """Return whether a guard may hold while the guards of `first` are false; warn if it cannot."""
+    """Return whether an event's guard may hold while the guards of the events in `first` are false.
+
+    If it cannot, warn that the event can never run.
+    """
     if (not first and is_open(guard.node, _NOTHING)) or guard.formula == linear.UNKNOWN:
         return True
     name = event.name

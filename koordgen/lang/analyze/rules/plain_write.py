@@ -15,10 +15,10 @@ from koordgen.lang.source import Span
 def check_plain_writes(
     found: Sequence[tuple[decl.Event, Atomic | None]], used: Sequence[set[str]], reporter: Reporter
 ) -> None:
-    """Warn of plain events that write a variable that a transaction writes.
+    """Warn of events that are not atomic and write a variable that a transaction writes.
 
-    `found` has the events, each with its first `atomic` or None. `used` has for each transaction its shared variables,
-    for each plain event an empty set.
+    `found` lists the events, each with its first `atomic`, or None if the event is not atomic. `used` lists for each
+    event the set of its shared variables if the event is a transaction, else an empty set.
     """
     guarded: dict[str, tuple[str, Span]] = {}
     for (event, atomic), names in zip(found, used, strict=True):

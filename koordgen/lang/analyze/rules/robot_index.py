@@ -25,7 +25,7 @@ _SIZE = linear.variable(N_SYS)
 
 
 def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
-    """Return whether 0 <= index < N_SYS is proved. Reports an index that is, or may be, out of range."""
+    """Return whether 0 <= index < N_SYS is proved. If not, report that the index is, or may be, out of range."""
     if type(index) is ir.Pid:
         return True
     if a.flow is None or a.poisoned:

@@ -18,7 +18,8 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
     names = names_of(condition)
     facts = before.relevant(names)
     if not facts and PID not in names and N_SYS not in names:
-        # Without facts about its names, a condition is impossible only if it contradicts itself; one comparison cannot.
+        # If no facts about its variables are known, a condition is impossible only if it contradicts itself. A single
+        # comparison cannot contradict itself.
         match condition:
             case BoolFact():
                 return False

@@ -1,4 +1,7 @@
-"""K041: events that wait for a bool that only such events set. Events with a K041 or K042 are left out."""
+"""K041: events that can never run because they wait for a bool variable that only such events change.
+
+Events for which another rule has already reported K041 or K042 are left out.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,11 @@ Starts = Mapping[str, object]  # name of a local bool -> its initial value
 
 
 def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter: Reporter) -> None:
-    """Warn of each event that waits for a bool which only such waiting events change.
+    """Warn of each event that waits for a local bool variable that only waiting events change.
 
-    The guard of such an event needs a local bool to differ from its initial value. A bool that no event sets is taken
-    for a switch that its author sets in the text. `is_whole` returns whether all of the text could be parsed.
+    An event waits for a bool variable if its guard needs the variable to differ from its initial value. A variable that
+    no event sets is not reported: it is taken for a switch that the author sets in the text of the program. `is_whole`
+    returns whether all of the text could be parsed.
     """
     starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
     events = program.events
@@ -46,9 +50,9 @@ def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter:
 
 
 def _needed_flags(guard: ir.Expr, starts: Starts) -> set[str]:
-    """Return the bools that a guard needs to differ from their initial values.
+    """Return the bool variables that must differ from their initial values for a guard to hold.
 
-    Only conditions that the guard joins by `and` count.
+    Only the conditions that the guard joins with 'and' are considered.
     """
     found: set[str] = set()
     pending = [guard]
@@ -66,7 +70,10 @@ def _needed_flags(guard: ir.Expr, starts: Starts) -> set[str]:
 def _unchanged_flags(
     asked: list[set[str]], init: stmt.Block, events: tuple[decl.Event, ...], starts: Starts
 ) -> set[str]:
-    """Return the bools that keep their initial values: the largest consistent set."""
+    """Return the bool variables that keep their initial values because only events that wait for them change them.
+
+    The result is the largest set in which each variable is changed only by events that wait for a variable in the set.
+    """
     waiting: dict[str, list[int]] = {}
     for position, flags in enumerate(asked):
         for flag in flags:
@@ -94,7 +101,7 @@ def _unchanged_flags(
 
 
 def _changed_flags(block: stmt.Block, starts: Starts) -> set[str]:
-    """Return the bools that a block may change from their initial values."""
+    """Return the bool variables that a block may change from their initial values."""
     found: set[str] = set()
     for statement in statements(block):
         match statement:

@@ -106,7 +106,7 @@ def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 
 
 def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
-    """Check and return the arguments of a wrong call, because they may have errors of their own."""
+    """Check and return the arguments of a wrong call, so that errors within the arguments are reported, too."""
     checked = []
     for arg in node.args:
         value = arg.value if isinstance(arg, ast.Keyword) else arg
@@ -151,9 +151,9 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 def positional_arguments(
     node: ast.Call, name: str, count: Many[int], takes: str, c: Context
 ) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
-    """Return the unchecked arguments of a call that takes no names.
+    """Return the unchecked arguments of a call that takes no named arguments.
 
-    Returns poison after reporting that they are too many, too few, or named. `count` has the allowed numbers.
+    If their number is wrong or an argument is named, reports this and returns poison. `count` has the allowed numbers.
     """
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
@@ -172,7 +172,7 @@ def positional_arguments(
 def _converted_arguments(
     nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
 ) -> tuple[ir.Expr, ...]:  # fmt: skip
-    """Check arguments against the types of the parameters and return them; wrong ones become poison."""
+    """Check arguments against the types of the parameters and return them; a wrong argument becomes poison."""
     args = []
     for node, type_ in zip(nodes, types, strict=True):
         value = check_expr(node, c, type_)
@@ -183,7 +183,7 @@ def _converted_arguments(
 
 
 def _add_help(before: int, takes: str, c: Context) -> None:
-    """Add `takes` as the help of all diagnostics since number `before` that have no help."""
+    """Add the help `takes` to each diagnostic from index `before` on that has no help yet."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
             c.found[position] = replace(c.found[position], help=takes)
@@ -229,7 +229,7 @@ def _applied(
     name: str, signature: Signature, nodes: tuple[ast.Expr, ...], takes: str, span: Span, c: Context,
     first: ir.Expr | None = None,
 ) -> ir.Expr:  # fmt: skip
-    """Check a call of a builtin with a single signature. `first` is the object if it is a method."""
+    """Check a call of a builtin that has a single signature. For a method, `first` is the object."""
     bound: Bound = {}
     args: list[ir.Expr] = []
     poisoned = False
@@ -379,9 +379,9 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
 
 
 def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
-    """Check a call that makes a record, as `Task(target=p)`: values by position, then by name.
+    """Check a call that makes a record, such as `Task(target=p)`: values by position, then by name.
 
-    Fields without a value get the initial values that the record declares.
+    Fields that the call does not mention get the initial values that the record declares.
     """
     type_ = record.type
     names = [name for name, _ in type_.fields]
@@ -397,7 +397,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
         if isinstance(arg, ast.Keyword):
             name, value, span, named = arg.name, arg.value, arg.span, True
         elif named:
-            c.error("K014", "a value without a name follows one with a name", arg.span, takes)
+            c.error("K014", "a positional value follows a named value", arg.span, takes)
             poisoned = True
             continue
         else:
@@ -418,7 +418,7 @@ def _field(
     record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
     c: Context,
 ) -> bool:  # fmt: skip
-    """Return whether a field's value is right. Adds it to `given`."""
+    """Check the value that a call gives a record's field, and add it to `given`. Returns whether it is right."""
     field = field_of(type_, name)
     if field is None:
         check_expr(value, c)
@@ -442,10 +442,10 @@ _SHOWN = {"T": "T", "V": "V", "K": "K", "N": "int or float", "O": "int, float or
 
 
 def match_argument(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
-    """Match an argument with the pattern of its parameter; None if it does not match.
+    """Match an argument with the pattern of its parameter: a type that may contain type variables.
 
-    Returns the value, widened to a float if the pattern asks for one. Adds the types of the pattern's variables to
-    `bound`.
+    Returns the argument, converted to a float if the pattern is float, or None if it does not match. Adds to `bound`
+    the types to which the match binds type variables.
     """
     type_ = value.type
     if type_ is pattern:
@@ -490,7 +490,7 @@ def _admits(variable: Scalar, type_: Type) -> bool:
 
 
 def substituted(pattern: Type, bound: Bound) -> Type | None:
-    """Return the pattern with its type variables replaced; None if one of them is not bound yet."""
+    """Return the pattern with its type variables replaced by types; None if a variable is not bound yet."""
     match pattern:
         case Scalar(name):
             return bound.get(name) if name in _VARIABLES else pattern
@@ -510,7 +510,7 @@ def substituted(pattern: Type, bound: Bound) -> Type | None:
 def shown(signature: Signature, skip: int = 0) -> str:
     """Return the parameters of a builtin as text: "(Point, Point)".
 
-    `skip`: how many to leave out; 1 for a method.
+    The first `skip` parameters are left out: 1 for a method, whose object comes first.
     """
     return f"({', '.join(_shown(arg) for arg in signature.args[skip:])})"
 

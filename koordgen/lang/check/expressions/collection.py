@@ -1,4 +1,4 @@
-"""Displays, indices, slices, `in`, quantifiers, and the domains of loops and quantifiers."""
+"""Checks of displays (`[a]`), indices, slices, `in`, quantifiers, and the domains of loops and quantifiers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _INTS = list_of(INT)
 
 
 def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Check `[a, b]`: a List, or a Queue or Set if one is expected."""
+    """Check `[a, b]`: it is a List, or a Queue or Set if the context expects a Queue or Set."""
     name = wanted.name if isinstance(wanted, Sequence) else "List"
     element = wanted.element if isinstance(wanted, (Sequence, PerRobot)) else None
     if not node.items and element is None:
@@ -57,7 +57,7 @@ def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) ->
 
 
 def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Check `{a, b}`."""
+    """Check `{a, b}`, which is a Set."""
     element = wanted.element if isinstance(wanted, Sequence) and wanted.name == "Set" else None
     made = _sequence("Set", node.items, element, node.span, c)
     if isinstance(made.type, Sequence) and not is_key(made.type.element):
@@ -66,7 +66,7 @@ def check_set(node: ast.SetDisplay, c: Context, wanted: Type | None = None) -> i
 
 
 def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Check `{k: v}`, and `{}`, which is an empty Map or Set, whichever is expected."""
+    """Check `{k: v}`, which is a Map, and `{}`, which is an empty Map or Set as the context expects."""
     if not node.items and isinstance(wanted, Sequence) and wanted.name == "Set":
         return ir.Make((), wanted, node.span)
     kinds: list[Type | None] = [wanted.key, wanted.value] if isinstance(wanted, MapOf) else [None, None]
@@ -86,7 +86,7 @@ def check_map(node: ast.MapDisplay, c: Context, wanted: Type | None = None) -> i
 
 
 def check_tuple(node: ast.Tuple, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Check `(a, b)`."""
+    """Check `(a, b)`, which is a tuple."""
     parts: tuple[Type | None, ...] = (None,) * len(node.items)
     if isinstance(wanted, TupleOf) and len(wanted.items) == len(node.items):
         parts = wanted.items
@@ -109,7 +109,7 @@ def _sequence(name: str, nodes: tuple[ast.Expr, ...], element: Type | None, span
 def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Context) -> list[ir.Expr]:
     """Return the items of a display, all of one type: `type_`, or else the type of the first item.
 
-    Ints are widened if an item is a float. Wrong items become poison.
+    If an item is a float, int items are converted to floats. Wrong items become poison.
     """
     if type_ is not None:
         return [converted(check_expr(node, c, type_), type_, what, c) for node in nodes]
@@ -130,7 +130,7 @@ def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Contex
 
 
 def _single(value: ir.Expr, c: Context) -> ir.Expr:
-    """Return a part of a composed value; report an allread variable without an index."""
+    """Return a part of a list, tuple or other composed value; report an allread variable without an index."""
     return report_missing_index(value, c) if isinstance(value.type, PerRobot) else value
 
 
@@ -199,14 +199,14 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
             message = f"an initial value cannot depend on the variable {name}"
             return c.error("K025", message, node.span, "set it in init")
         case "function" | "contract" | "assume":
-            return check_expr(node.value, c)  # reports why the variable cannot be read
+            return check_expr(node.value, c)  # this reports why the variable cannot be read
         case "init" if not isinstance(index, ir.Pid):
             return report_shared_in_init(c.text(node.span), node.span, c)
     return ir.SlotRead(name, index, type(index) is ir.Pid, entity.type, node.span)
 
 
 def element(operand: ir.Expr, index: ir.Expr, node: ast.Index, c: Context) -> ir.Expr:
-    """Return `operand[index]`, typed."""
+    """Return the typed expression `operand[index]`."""
     match operand.type:
         case Sequence("List" | "Queue", element=type_) | PerRobot(type_):
             pass
@@ -233,7 +233,7 @@ def _item(operand: ir.Expr, items: tuple[Type, ...], node: ast.Index, c: Context
             message = f"{c.text(node.value.span)} has {len(items)} items: the last is [{len(items) - 1}]"
             return c.error("K030", message, node.span)
         case _:
-            help = f"write [0] to [{len(items) - 1}]"
+            help = f"write a number from 0 to {len(items) - 1} in the brackets"
             return c.error("K017", "the index of a tuple must be a literal number", node.index.span, help)
 
 
@@ -295,10 +295,7 @@ def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c:
 
 
 def _element_type(type_: Type) -> Type | None:
-    """Return the type of the elements of a value: `T` if `x in value` takes an x of type T.
-
-    Returns None if it has none.
-    """
+    """Return the type that `x` must have in `x in value`; None if 'in' does not apply to the value."""
     match type_:
         case Sequence(element=held) | PerRobot(held) | MapOf(key=held):
             return held
@@ -354,7 +351,7 @@ def _step(node: ir.Expr) -> int:
 
 
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
-    """Check a quantifier. One with several names becomes nested quantifiers over the same domain."""
+    """Check a quantifier. A quantifier of several names becomes nested quantifiers over the same domain."""
     if c.place not in ("property", "contract", "assume") and c.entry is None:
         help = "use a loop: 'for i in ID:'"
         message = f"'{node.kind}' is only allowed in properties, contracts and loop invariants"
@@ -372,10 +369,11 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
 
 
 def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
-    """Declare a temp in the innermost block; None after reporting that its name is taken.
+    """Declare a temp, a variable of a block, in the innermost block.
 
-    Even then uses of the name have the new type, unless it is another temp's name. In a function a temp may have the
-    name of a variable or module, because functions cannot read those.
+    If its name is declared already, reports this and returns None; later uses of the name still have the new type,
+    unless the name belongs to another temp. In a function a temp may have the name of a variable or module, because
+    functions cannot read variables and modules.
     """
     temp = Temp(c.mint(name), type_, span)
     earlier, entity = c.temp(name), c.entities.get(name)

@@ -1,7 +1,7 @@
 """Spellings of the 2020 dialect in expressions and statements.
 
-Each is reported with the edits that modernise it, and has the meaning of its modern form. A name that the program
-declares is not a word of the dialect.
+Each old spelling is reported with the edits that modernise it, and has the meaning of its modern form. A name that the
+program itself declares does not count as an old spelling.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def modern_logic(node: ast.Logic, c: Context) -> str:
 def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
     """Return the modern form of a call of a function in `FUNCTIONS`.
 
-    Returns None if its arguments are not the dialect's.
+    Returns None if the arguments are not those that the function takes in the 2020 dialect.
     """
     if any(isinstance(arg, ast.Keyword) for arg in node.args):
         return None
@@ -85,7 +85,7 @@ def _start(span: Span) -> tuple[int, int]:
 
 
 def _end(span: Span) -> Span:
-    """Return the empty span after a span."""
+    """Return the empty span at the end of a span, where an edit can insert text."""
     return Span(span.end_line, span.end_column, span.end_line, span.end_column)
 
 
@@ -94,7 +94,7 @@ def _between(first: Span, second: Span) -> Span:
 
 
 def _binds_loosely(node: ast.Expr) -> bool:
-    """Return whether an expression binds looser than `+`, so that it may need parentheses beside a `+`."""
+    """Return whether an expression binds less tightly than `+`, so that it needs parentheses as operand of `+`."""
     return isinstance(node, (ast.Conditional, ast.Logic, ast.Compare, ast.Quantified)) or (
         isinstance(node, (ast.Unary, ast.Binary)) and node.op in ("not", "!", "<<")
     )

@@ -81,9 +81,9 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
-    """Return `left op right`, typed.
+    """Return the typed expression `left op right`.
 
-    Only literal divisors are marked as non-zero here; the analysis finds others.
+    A division is marked as proved to have a value only if its divisor is a literal; the second check proves others.
     """
     first, second = left.type, right.type
     if first is POISON or second is POISON:
@@ -145,9 +145,10 @@ def _help_for_joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
 
 
 def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
-    """Check a comparison. A chain is the `and` of its pairs, so its inner operands are evaluated twice.
+    """Check a comparison or a chain of comparisons: `a < b < c` means `a < b and b < c`.
 
-    This gives the same value twice, except for calls of ports, which a chain cannot have there.
+    The inner operands of a chain are evaluated twice, with the same value. Calls of ports could give two different
+    values, so they are not allowed as inner operands.
     """
     if len(node.rest) == 1:
         ((op, right_node),) = node.rest
@@ -159,7 +160,7 @@ def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
 
 
 def _sides(first: ast.Expr, second: ast.Expr, c: Context) -> tuple[ir.Expr, ir.Expr]:
-    """Check both sides of a comparison; a display gets its type from the other side."""
+    """Check both sides of a comparison. A display, such as `[]`, gets its type from the other side."""
     if is_display(first) and not is_display(second):
         right = check_expr(second, c)
         return check_expr(first, c, right.type), right
@@ -180,7 +181,7 @@ def _chain(node: ast.Compare, c: Context) -> ir.Expr:
             left, right = _sides(before, right_node, c)
         else:
             if has_call(left, (ir.PortCall,)):
-                help = "save its answer in a variable first"
+                help = "save the port's answer in a variable first"
                 return c.error("K027", "a call of a port is not allowed within a chain", left.span, help)
             right = check_expr(right_node, c, left.type)
         pair = _pair(op, left, right, node.span, c)

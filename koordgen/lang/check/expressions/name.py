@@ -1,4 +1,4 @@
-"""Names, ports and fields: their resolution, and whether the current section may read them."""
+"""Resolution of names, ports and fields, and checks that the current section may read them."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ FOREIGN = {
     "this": "write a variable by its name alone; this robot's index is pid",
     **dict.fromkeys(("math", "np", "numpy"), "write functions and constants by their names alone: sqrt(x), sin(x), pi"),
 }
-# Constants of Python's math -> Koord.
+# Name of a constant in Python's module `math` -> how to write it in Koord.
 _MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
-# Functions of other languages -> help that says how to write it in Koord.
+# Name of a function of another language -> help that says what to write in Koord.
 NO_FUNCTIONS = {
     "int": "a float is never converted to an int automatically: use floor, ceil or round",
     "float": "an int is converted to a float automatically",
@@ -79,7 +79,7 @@ NO_FUNCTIONS = {
     "type": "a variable always has its declared type",
     "input": "a robot's inputs come from ports: 'using Module:' with 'sensors:'",
 }
-# Type -> method names of other languages -> the type's method.
+# Type -> name of a method in another language -> name of the type's method in Koord.
 HABITS: dict[str, dict[str, str]] = {
     "List": {"push": "append", "add": "append", "push_back": "append", "put": "append", "delete": "remove"},
     "Queue": {"append": "push", "add": "push", "put": "push", "enqueue": "push", "popleft": "pop", "dequeue": "pop",
@@ -148,9 +148,9 @@ def report_shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
 
 
 def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr | None:
-    """Report that the current section cannot read a robot's state; None if it can.
+    """Report an error if the current section cannot read a robot's state; return None if it can.
 
-    `what` is "the port " or similar.
+    `what` begins the message and names the kind of the state that is read, such as "the port ".
     """
     match c.place:
         case "init" | "guard" | "effect":
@@ -220,7 +220,7 @@ def report_undefined(name: str, span: Span, c: Context) -> ir.Expr:
 
 
 def report_not_called(name: str, span: Span, c: Context) -> None:
-    """Report a call of a value. The value's name may hide a builtin function; the message says so."""
+    """Report a call of a value that is no function. If its name hides a builtin function, the message says so."""
     owner = c.temp(name) or c.entities.get(name)
     if name not in FUNCTIONS or owner is None:
         c.error("K017", f"{name} is not a function", span)
@@ -237,7 +237,7 @@ def is_event(name: str, c: Context) -> bool:
 def report_ended(name: str, span: Span, c: Context) -> bool:
     """Report a use of a variable after the block or loop that declares it.
 
-    Returns False if the name is no such variable.
+    Returns False if the name does not belong to a variable whose block has ended.
     """
     if name not in c.minted or c.program is None:
         return False
@@ -265,7 +265,7 @@ def _start(node: Section | tree.Stmt) -> tuple[int, int]:
 
 
 def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
-    """Return the blocks of a section or a statement."""
+    """Return the blocks that a section or a statement directly contains."""
     match node:
         case Event(clauses=clauses):
             return tuple([clause.block for clause in clauses if isinstance(clause, Effect)])
@@ -282,7 +282,7 @@ def _inner(node: Section | tree.Stmt) -> tuple[tree.Block, ...]:
 
 
 def _backwards(node: Section | tree.Stmt, here: tuple[int, int]) -> Iterator[tree.Stmt]:
-    """Yield the statements in a node that begin before a position, the last one first."""
+    """Yield the statements in a node that begin before a position, from the last to the first."""
     for block in reversed(_inner(node)):
         for place in range(bisect_left(block, here, key=_start) - 1, -1, -1):
             yield from _backwards(block[place], here)
@@ -307,7 +307,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
 
 
 def module_named(node: ast.Expr, c: Context) -> Module | None:
-    """Return the module that an expression names, or None."""
+    """Return the module whose name an expression consists of, or None."""
     if type(node) is not ast.Name:
         return None
     entity = c.entities.get(node.name)
@@ -322,13 +322,13 @@ def _port_of(module: Node | None, name: str) -> Port | None:
 
 
 def assumed_port(name: str, c: Context) -> Module | None:
-    """Return the module of the current assumption if it has a port of that name, or None."""
+    """Return the module of the assumption that is being checked if it has a port of that name, else None."""
     module = c.entities.get(c.module)
     return module if isinstance(module, Module) and _port_of(module, name) is not None else None
 
 
 def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | None:
-    """Return the port `module.name`; None after reporting that the program does not declare it."""
+    """Return the port `module.name`. If the program does not declare it, report this and return None."""
     port = _port_of(module, node.name)
     if port is None and node.name not in c.broken:
         help = c.suggestion(node.name, [p.name for p in module.ports]) or f"declare it under 'using {module.name}:'"
@@ -368,7 +368,7 @@ def field_of(type_: Type, name: str) -> Type | None:
 
 
 def type_word(type_: Type) -> str:
-    """Return the name of a type in the tables of methods."""
+    """Return the name under which a type stands in the tables of methods."""
     return type_.name if isinstance(type_, Sequence) else "Map" if isinstance(type_, MapOf) else str(type_)
 
 

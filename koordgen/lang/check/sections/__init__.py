@@ -2,5 +2,5 @@
 
 Owns: declarations, events, functions, modules, params; the order in which sections are checked.
 Offers: `program.resolve`, the only entry point.
-Must not import: any room outside of `lang`.
+Must not import: any package outside of `lang`.
 """

@@ -1,6 +1,6 @@
-"""Records, params and variables.
+"""Checks of the declarations of records, params and variables.
 
-Their types come before their initial values, so they may stand in any order.
+All types are checked before all initial values, so that declarations may stand in any order.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Records = list[tuple[ast.RecordDef, Fields, RecordType | None]]
 def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
     """Define the types of records.
 
-    Returns the records, each after those in its fields; wrong ones have no type.
+    Returns the records; each record comes after the records that its fields contain. Wrong records have no type.
     """
     from koordgen.lang.check.graph import topological_order
 
@@ -65,7 +65,7 @@ def record_types(sections: list[ast.RecordDef], c: Context) -> Records:
     return records
 
 
-_MOST_PARTS, _DEEPEST = 1000, 20  # limits of one record, with the records in it: fields, nesting
+_MOST_PARTS, _DEEPEST = 1000, 20  # limits on the fields and the nesting of a record, including the records in it
 
 
 def _field_type_names(node: ast.RecordDef) -> list[str]:
@@ -79,7 +79,7 @@ def _record_type(
     seen: dict[str, Span] = {}
     for field in node.fields:
         if isinstance(field.type, written.BrokenType):
-            fields.append((field, POISON))  # the parser only guessed its name
+            fields.append((field, POISON))  # the parser only guessed the field's name
             continue
         type_ = with_capacities(resolve(field.type, c), field.capacities, False, c)
         type_ = POISON if _has_size(field, "in a record", c) else type_
@@ -142,7 +142,7 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> TypedVariab
         kind = section.kind
         for node in section.variables:
             if isinstance(node.type, written.BrokenType):
-                continue  # the parser only guessed its name
+                continue  # the parser only guessed the variable's name
             type_ = _variable_type(node, kind, c)
             typed.append((node, kind, type_))
             if type_ is POISON:
@@ -159,7 +159,7 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
     if kind != "allread":
         if _has_size(node, f"under '{kind}:'", c):
             resolve(type_, c)
-            return POISON  # a list type would make indices of it errors, too: an echo of this one
+            return POISON  # without a type, uses of the variable with an index are not reported as further errors
     elif node.size is not None:
         if not is_fleet_size(node.size, c) and not isinstance(node.size, tree.Broken):
             _not_per_robot(node, node.size.span, c)
@@ -181,7 +181,7 @@ def _not_per_robot(node: ast.Variable, span: Span, c: Context) -> None:
 
 
 def _has_size(node: ast.Variable, where: str, c: Context) -> bool:
-    """Return whether a variable has a size; report it, because this variable cannot have one."""
+    """Return whether a variable that cannot have a size is declared with a size, and report that."""
     if node.size is not None and not isinstance(node.size, tree.Broken):
         help = f"write List<{c.text(node.type.span)}> {node.name}"
         c.error("K017", f"an array {where} is a list: {node.name} takes no size", node.size.span, help)
@@ -205,7 +205,8 @@ def _initial(
 ) -> expr.Expr:
     """Check an initial value.
 
-    It may use literals, builtins and params; no params if `no_params` has a message.
+    An initial value may use literals, builtin functions and params. If `no_params` is not empty, it is the message that
+    reports a use of a param.
     """
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)

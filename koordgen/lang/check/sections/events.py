@@ -1,4 +1,4 @@
-"""Events: their clauses `pre:` and `eff:`, and the `priority:` blocks that order them."""
+"""Checks of events: their clauses `pre:` and `eff:`, and the `priority:` blocks that order events."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def in_text_order(sections: Iterable[ast.Section]) -> list[tuple[ast.Event, int 
 def events(written: list[tuple[ast.Event, int | None]], c: Context) -> tuple[decl.Event, ...]:
     """Check the events.
 
-    Return those with a guard and an effect, in the order of the text, without their locks.
+    Returns the events that have a guard and an effect, in the order of the text. Their locks are assigned later.
     """
     found: list[decl.Event] = []
     names: dict[str, Span] = {}
@@ -50,8 +50,8 @@ def lone_priorities(sections: Iterable[ast.Section], c: Context) -> None:
     for section in sections:
         if isinstance(section, ast.Priority) and len(section.events) == 1:
             only = section.events[0].name
-            help = f"indent the events that are ordered with {only} under the same 'priority:'"
-            c.warn("K046", f"this priority block orders nothing: {only} is its only event", section.span, help)
+            help = f"write the events that have a lower or higher priority than {only} in the same 'priority:' block"
+            c.warn("K046", f"{only} is the only event of this 'priority:' block", section.span, help)
 
 
 def _clauses(node: ast.Event, c: Context) -> tuple[ast.Guard, ast.Effect] | None:

@@ -1,4 +1,4 @@
-"""Functions: signatures first, so that they may call each other in any order; then bodies, contracts."""
+"""Checks of functions: first all signatures, so that functions may stand in any order, then bodies and contracts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Signature = tuple[tuple[decl.Parameter, ...], Type]
 def signature(node: ast.Function | ast.ExternFunction | ast.SpecFunction, c: Context) -> Signature:
     """Define a function and return its parameters and result type.
 
-    The result type is POISON if it is wrong or not known yet.
+    The result type is POISON if it is wrong, or not known before the body is checked.
     """
     parameters = tuple([decl.Parameter(p.name, _parameter_type(p, c)) for p in node.parameters])
     result = POISON if node.result is None else resolve(node.result, c)
@@ -88,8 +88,8 @@ def check_bodies(signed: Signed, c: Context) -> tuple[decl.Function, ...]:
 def _callees_first(signed: Signed, c: Context) -> Signed:
     """Return the functions in the order in which they are checked.
 
-    Functions of the 2020 dialect declare no result types. If there are some, each function stands after those that it
-    calls, so that a result type is known before it is used.
+    Functions of the 2020 dialect declare no result types. If the program has such functions, each function comes after
+    the functions that it calls, so that a result type is known before it is used.
     """
     if all(node.result is not None for node, _ in signed):
         return signed
@@ -121,9 +121,9 @@ def _body(node: ast.Function, known: Signature, c: Context) -> decl.Function:
 def _temps(
     written: tuple[ast.Parameter, ...], parameters: tuple[decl.Parameter, ...], c: Context
 ) -> tuple[decl.Parameter, ...]:
-    """Add the parameters to the section's temps; return them under their unique names.
+    """Declare the parameters in the scope of the section; return them with their unique names in the IR.
 
-    A parameter may have the name of a variable or module, because functions cannot read those.
+    A parameter may have the name of a variable or module, because functions cannot read variables and modules.
     """
     scope = c.scopes[0]
     kept = []
@@ -170,7 +170,7 @@ def _closing_bracket(node: ast.Function, c: Context) -> Span:
 def externs(sections: Iterable[ast.ExternFunction], c: Context) -> tuple[decl.ExternFunction, ...]:
     """Check the contracts of extern functions.
 
-    Their formulas may call functions, which must be defined by now.
+    The formulas of contracts may call functions, so the functions must be defined before this check.
     """
     return tuple([_extern(node, c) for node in sections])
 

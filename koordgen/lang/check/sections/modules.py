@@ -1,4 +1,4 @@
-"""Modules: the ports that a program uses, and its assumptions about them."""
+"""Checks of modules: the ports that a program uses, and its assumptions about the ports."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Direction = Literal["sensor", "actuator", "callable", "stream"]
 
 
 def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
-    """Return the modules with their ports, without assumptions. Sections of the same name make one module."""
+    """Return the modules with their ports, without assumptions. Sections of the same name form one module."""
     found: dict[str, tuple[ast.Using, dict[str, decl.Port], dict[str, ast.Port]]] = {}
     for section in sections:
         _, ports, written = found.setdefault(section.name, (section, {}, {}))
@@ -45,7 +45,7 @@ def _add_port(
     node: ast.Port, under: Literal["sensor", "actuator", ""], module: str, ports: dict[str, decl.Port], c: Context
 ) -> None:
     if isinstance(node.type, BrokenType):
-        return  # the parser only guessed its name
+        return  # the parser only guessed the port's name
     type_ = resolve(node.type, c, True)
     first = ports.get(node.name)
     if first is not None:
@@ -57,7 +57,7 @@ def _add_port(
 
 
 def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
-    """Return the meaning that a port's marks give it; without marks, the one usual for its name."""
+    """Return the meaning that a port's marks declare; without marks, the usual meaning of a port of that name."""
     if not node.marks:
         return usual(port, ports.values())
     position, held, clears = False, "", list[str]()
@@ -93,7 +93,7 @@ def _mark_error(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None
 
 
 def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Context) -> bool:
-    """Return whether the module has the sensor that a mark names, and of this type; report it otherwise."""
+    """Return whether the module has the sensor that a mark names, with the right type; report an error otherwise."""
     name = mark.name
     sensor = ports.get(name)
     if sensor is None or sensor.direction != "sensor":

@@ -1,6 +1,7 @@
-"""A whole program: names, then types and signatures, then initial values and bodies.
+"""First check of a whole program: names, then types and signatures, then initial values and bodies.
 
-This order lets sections stand anywhere in the text. Init and the events are checked in the order of the text.
+Because of this order, sections may stand anywhere in the text. `init` and the events are checked in the order of the
+text.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from koordgen.lang.syntax import decl as ast
 
 
 class ResolvedProgram(NamedTuple):
-    """Result of the first check: a program with names and types, with drafts among its nodes (`ir.draft`)."""
+    """Result of the first check: a program with resolved names and types that still has draft nodes (`ir.draft`)."""
 
     program: decl.Program
     found: list[Diagnostic]
@@ -92,6 +93,6 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
 
 
 def _init(sections: list[ast.Init], c: Context) -> Block:
-    """Check all init sections and join them into one block, in the order of the text."""
+    """Check all `init` sections and join them into one block, in the order of the text."""
     c.enter("init")
     return tuple([statement for section in sections for statement in check_block(section.block, c)])

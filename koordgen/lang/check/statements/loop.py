@@ -1,4 +1,4 @@
-"""Loops: their domains, and the types of their variables."""
+"""Checks of loops: the values over which they iterate, and the types of their variables."""
 
 from __future__ import annotations
 

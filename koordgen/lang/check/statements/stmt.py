@@ -1,4 +1,4 @@
-"""Statements: types of their values, and places that they write."""
+"""Checks of statements: the types of their values, and the variables and ports that they write."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _assign(node: tree.Assign, c: Context, out: Out) -> None:
 def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     """Check and return the value of an assignment whose target is wrong.
 
-    If the target is an undeclared variable, the value's type completes the help, which shows a declaration.
+    If the target is an undeclared variable, the help of its error shows a declaration, which needs the value's type.
     """
     at, target = len(c.found) - 1, node.target
     forgotten = isinstance(target, ast.Name) and c.owners.get(target.name) is target
@@ -67,7 +67,7 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     if not forgotten or not isinstance(target, ast.Name) or c.found[at].help != declaration(target.name):
         return value
     if isinstance(node.value, ast.ListDisplay) and not node.value.items:
-        type_ = list_of(POINT)  # an example type for the help
+        type_ = list_of(POINT)  # the declaration in the help needs a type: this is an example
     known = type_ is not POISON and not isinstance(type_, PerRobot)
     span, text = node.value.span, c.text(node.value.span)
     kept = known and not node.op and span.line == span.end_line and len(text) <= 40
@@ -79,12 +79,12 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
 
 
 def write(target: AssignmentTarget, value: ir.Expr, reads: bool, span: Span, c: Context, out: Out) -> None:
-    """Append the IR of `target = value`. `reads`: the new value depends on the old one."""
+    """Append the IR of `target = value` to `out`. `reads` is True if the new value depends on the old value."""
     place = target.place
     hoist(span, c, out)
     if c.place == "init" and type(place) is stmt.SharedPlace:
         if (reads or not target.whole) and place.name not in c.written:
-            help = "build it in a variable of the block, and assign that"
+            help = "build the value in a variable of the block, and assign that variable"
             c.error("K023", f"init cannot change {place.name}, only set it: it is shared", span, help)
         else:
             c.written.add(place.name)
@@ -96,17 +96,17 @@ def write(target: AssignmentTarget, value: ir.Expr, reads: bool, span: Span, c: 
 
 
 def hoist(span: Span, c: Context, out: Out) -> None:
-    """Append the declarations that must be evaluated before the statement at `span`."""
+    """Append to `out` the declarations that must be evaluated before the statement at `span`."""
     for let in c.hoisted:
         out.append(replace(let, span=span))
     c.hoisted.clear()
 
 
 def _assign_popped(node: tree.Assign, target: AssignmentTarget, c: Context, out: Out) -> None:
-    """Check `x = q.pop()`: read the element, then remove it.
+    """Check `x = q.pop()`, which reads an element of `q`, assigns it to `x`, and removes it from `q`.
 
-    A target that is a part of a variable is written last. So is a variable that the index of `pop` reads: otherwise
-    another element would be removed than was read.
+    If `x` is a part of a variable, `q` is written first and `x` last. The same holds if the removal reads `x`, as in
+    `i = xs.pop(i)`: otherwise an element would be removed that is not the one that was read.
     """
     assert isinstance(node.value, ast.Call)
     update = check_update(node.value, c)
@@ -135,7 +135,7 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
-            out.append(draft.WrongStmt((), node.span))  # `assert b`, `del n` parse as declarations, but are none
+            out.append(draft.WrongStmt((), node.span))  # `assert b` is parsed like a declaration
             return
         value = default(type_, node.span, c)
     elif is_pop(node.value, c):
@@ -156,7 +156,7 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
 def _type(node: tree.Declare, c: Context) -> Type:
     """Return the type of a declaration.
 
-    Reports a statement of another language that parses as one: `global n`.
+    Reports a statement of another language that is parsed like a declaration, such as `global n`.
     """
     written = node.type
     if isinstance(written, NamedType) and written.name not in NAMED and written.name not in c.types:
@@ -224,7 +224,7 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
 
 
 def _as_string(value: ir.Expr, c: Context) -> ir.Expr:
-    """Return the string that a stream shows for a value."""
+    """Return the expression of the string that is written to a stream for a value."""
     type_ = value.type
     if type_ is POISON or type_ == STRING:
         return value
@@ -238,7 +238,7 @@ def _as_string(value: ir.Expr, c: Context) -> ir.Expr:
 
 
 def _if(node: tree.If, c: Context, out: Out) -> None:
-    """Check `if`; each `elif` becomes an If in `orelse`."""
+    """Check `if`. Each `elif` becomes an If node in the `orelse` of the If before it."""
     checked: list[tuple[ir.Expr, stmt.Block, Span]] = []
     for branch in node.branches:
         held = condition(branch.condition, c, "the condition of 'if'")
@@ -252,14 +252,15 @@ def _if(node: tree.If, c: Context, out: Out) -> None:
 def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
     """Check `atomic:`.
 
-    It makes the whole event a transaction, so its block follows the `draft.Atomic` marker.
+    One `atomic:` makes the whole event a transaction. In the IR a marker, `draft.Atomic`, stands in its place, followed
+    by the statements of its block.
     """
     if c.atomic:
-        c.error("K045", "'atomic' is nested in 'atomic'", node.span, "the outer one covers this block: remove this one")
+        c.error("K045", "'atomic' is nested in 'atomic'", node.span, "remove the inner 'atomic:'")
     elif c.place == "function":
         c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around its call in an event")
     elif c.place == "init":
-        help = "no robot may read shared variables yet, so nothing can be lost: remove it"
+        help = "remove 'atomic:': robots cannot read shared variables in init, so no update can be lost"
         c.error("K045", "init cannot be atomic", node.span, help)
     out.append(draft.Atomic(node.span))
     c.atomic += 1

@@ -1,6 +1,6 @@
-"""Targets of assignments and updating methods: a variable, or a part of its value.
+"""Checks of the targets of assignments and of updating methods: a variable, or a part of its value.
 
-A part is written by writing the whole value with that part replaced.
+An assignment to a part, such as `p.x = 1`, becomes an assignment of the whole value with that part replaced.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from koordgen.lang.syntax import expr as ast
 class AssignmentTarget(Node):
     """Target of an assignment: a variable, or a part of its value.
 
-    `read` reads the target. To give it the value `new`, `place`, the whole variable, is set to `put(new)`. `whole`: the
-    target is the variable itself, so `put(new)` is `new`.
+    `read` is the expression that reads the target, and `place` is the whole variable. To assign `new` to the target,
+    the variable is set to `put(new)`. `whole` is True if the target is the variable itself; `put(new)` is then `new`.
     """
 
     place: stmt.Place | SlotPlace
@@ -57,7 +57,7 @@ class AssignmentTarget(Node):
 
 
 def check_target(node: ast.Expr, c: Context) -> AssignmentTarget | None:
-    """Return the target of an assignment; None after reporting that it cannot be assigned."""
+    """Return the target of an assignment. If it cannot be assigned, report this and return None."""
     match node:
         case ast.Name():
             return _named(node, c)
@@ -136,7 +136,7 @@ def _unknown(node: ast.Name, c: Context) -> None:
 
 
 def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
-    """Return the help for an undeclared variable."""
+    """Return the help for an assignment to an undeclared variable: a declaration."""
     return f"declare it: '{type_} {name} = {value}'"
 
 
@@ -171,7 +171,7 @@ def _port(module: Module, node: ast.Attribute, c: Context) -> AssignmentTarget |
 
 
 def _element(outer: AssignmentTarget, node: ast.Index, c: Context) -> AssignmentTarget | None:
-    """Return the target `outer[index]`, of a List, a Map or a tuple."""
+    """Return the target `outer[index]`, where `outer` is a List, a Map or a tuple."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
         return None
@@ -202,7 +202,7 @@ def _element(outer: AssignmentTarget, node: ast.Index, c: Context) -> Assignment
 
 
 def _field(outer: AssignmentTarget, node: ast.Attribute, c: Context) -> AssignmentTarget | None:
-    """Return the target `outer.name`, of a record."""
+    """Return the target `outer.name`, where `outer` is a record."""
     read, type_ = outer.read, outer.read.type
     if type_ is POISON:
         return None
@@ -223,9 +223,9 @@ def _part(outer: AssignmentTarget, read: ir.Expr, put: Callable[[ir.Expr], ir.Ex
 
 
 def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
-    """Return an index that can be read twice.
+    """Return an index that can be evaluated twice with the same value.
 
-    If it has a call, a temp before the statement keeps its value.
+    If the index contains a call, its value is saved in a temp, a variable declared before the statement.
     """
     if not has_call(index):
         return index
@@ -234,7 +234,7 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
     return ir.TempRead(name, index.type, index.span)
 
 
-# Methods that change their object: `xs.append(v)` assigns to `xs` a value that is longer by one.
+# Methods that change their object: `xs.append(v)` assigns to `xs` a list with one more element.
 
 Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
 _NAMES = {name for _, name in UPDATES} | {"pop"}
@@ -256,7 +256,7 @@ def is_pop(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
 
 
 def check_update(node: ast.Call, c: Context) -> Update | None:
-    """Return the effect of a call for which `is_update` is true; None after reporting that it is wrong."""
+    """Return the effect of a call for which `is_update` is true. If it is wrong, report this and return None."""
     function = node.function
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)

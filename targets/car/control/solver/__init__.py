@@ -2,5 +2,5 @@
 
 Owns: the model, the generated `mpc.c`, the fallback.
 Offers: `compiled`, `fallback`, `problem`.
-Must not import: any room of the car but `base`.
+Must not import: any package of the car but `base`.
 """
