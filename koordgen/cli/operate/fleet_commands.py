@@ -81,7 +81,7 @@ def logs(options: Namespace) -> int:
 
 
 def doctor(options: Namespace) -> int:
-    """Run `doctor` on every robot and print the findings; return the greatest exit status."""
+    """Run `doctor` on every robot and print the results; return the greatest exit status."""
     fleet = read_fleet(options.fleet)
     order = {robot.name: robot.pid for robot in fleet.robots}
     examined = sorted(on_hosts(options, fleet, None, examine), key=lambda each: order[each.robot])
