@@ -1,6 +1,6 @@
 """Experiments: many simulated runs of a program, and statistics about them.
 
 Owns: campaigns, and the validation of a program's assumptions by sampled runs.
-Offers: one room for each.
+Offers: the packages `campaign` and `validate`.
 Must not import: `operate`, `cli`.
 """

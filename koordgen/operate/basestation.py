@@ -1,7 +1,7 @@
-"""`koordgen basestation`: passes the poses of a motion capture system on to the robots, each its own.
+"""`koordgen basestation`: sends each robot its own pose, as measured by a motion capture system.
 
-The system speaks through the package `motioncapture` (libmotioncapture), loaded when it is needed; anything with the
-same `connect`, `waitForNextFrame` and `rigidBodies` will do. What goes over the network is runtime/vehicle/feed.py's.
+The system is read through the package `motioncapture` (libmotioncapture), which is imported on use. Any module with the
+same `connect`, `waitForNextFrame` and `rigidBodies` can replace it. The datagram format is in runtime/vehicle/feed.py.
 """
 
 from __future__ import annotations
@@ -24,19 +24,21 @@ from koordgen.runtime.net.seal import BadKey, load_key
 from koordgen.runtime.ops.host import pip_install
 from koordgen.runtime.vehicle.datagrams import raw_clock
 
-RATE = 50.0  # datagrams a second to each robot at most, where nothing else is asked for
-TOLD_EVERY = 1.0  # seconds
-SESSION = "basestation.session"  # beside the fleet file: the number of the last run
-LOST = 1.0  # seconds without a pose after which a robot counts as not seen
-_JITTER = 0.25  # of a period by which a frame may come early: else a rate near the cameras' would lose each second one
-_LOOK = 0.2  # seconds between two looks whether to end
+RATE = 50.0  # default of the highest rate of datagrams to one robot, in Hz
+TOLD_EVERY = 1.0  # seconds between two summary lines
+SESSION = "basestation.session"  # file beside the fleet file that holds the session number of the last run
+LOST = 1.0  # seconds without a pose after which a robot is shown as not seen
+# A frame is sent up to this fraction of a period early. Otherwise jitter would drop every second frame if the
+# cameras' rate is near the rate of datagrams.
+_JITTER = 0.25
+_LOOK = 0.2  # seconds at most to wait for a frame, so that the summary is printed without frames, too
 
 Body = tuple[Vector, Quaternion]
-Frame = tuple[float, dict[str, Body]]  # when it came, seconds; the bodies in it, by name
+Frame = tuple[float, dict[str, Body]]  # time of arrival in seconds, and the rigid bodies by name
 
 
 class CannotServe(Exception):
-    """Nothing can be passed on; `help` is the way out."""
+    """The base station cannot send poses; `help` says what to do."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -48,7 +50,7 @@ class WrongFiles(CannotServe):
 
 
 class Receiver(Node):
-    """A robot, and where its poses go."""
+    """A robot, and the UDP address to which its poses are sent."""
 
     robot: str
     host: str
@@ -56,7 +58,7 @@ class Receiver(Node):
 
 
 def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ...]:
-    """Return the robots that take a feed. Raises WrongFiles."""
+    """Return the robots that are configured to receive their position from a feed. Raises WrongFiles."""
     found = []
     for robot in fleet.robots:
         feed = targets[robot.target].feed
@@ -76,7 +78,10 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
 
 
 class Forwarder:
-    """What goes to whom, without network and clock. `session` is greater than that of any run before."""
+    """Choice of the datagrams that are sent to each robot, without network or clock.
+
+    `session` must be greater than in any earlier run, because agents refuse datagrams of older sessions.
+    """
 
     def __init__(
         self, robots: tuple[str, ...], mocap: Mocap, key: bytes | None, session: int, rate: float, application: int = 0
@@ -92,8 +97,11 @@ class Forwarder:
         self._foreign: dict[str, float] = {}
 
     def frame(self, bodies: Mapping[str, Body], measured: float, now: float) -> dict[str, bytes]:
-        """The datagrams that are due, by robot, for a frame that came at `measured`; seconds on one clock. A pose that
-        is the one before to the last bit is no measurement: so systems tell of what they have lost."""
+        """Return the datagrams that are due, by robot, for a frame that arrived at `measured`.
+
+        `measured` and `now` are seconds on one clock. A pose that equals the previous one bit by bit is ignored,
+        because motion capture systems repeat the last pose of a body that they have lost.
+        """
         due = {}
         for name, body in bodies.items():
             if name not in self._next:
@@ -133,8 +141,10 @@ class Forwarder:
 
 
 class Camera:
-    """Reads frames in a thread of its own: waiting for one cannot be interrupted. `frames` holds the newest, or the
-    error that ended it."""
+    """Reader of frames in a thread of its own, because `waitForNextFrame` cannot be interrupted.
+
+    `frames` holds at most the two newest frames, or the error that ended the reading.
+    """
 
     def __init__(self, system: Any, clock: Callable[[], float] = raw_clock) -> None:
         self._system, self._clock = system, clock
@@ -148,7 +158,7 @@ class Camera:
             try:
                 self._system.waitForNextFrame()
                 found: Frame | Exception = (self._clock(), _bodies(self._system.rigidBodies))
-            except Exception as error:  # whatever a system's own library raises
+            except Exception as error:  # the libraries of motion capture systems may raise any exception
                 found = error
             if self.frames.full():
                 with suppress(queue.Empty):
@@ -158,7 +168,7 @@ class Camera:
                 return
 
     def end(self) -> bool:
-        """Stop reading; False when the system does not let go."""
+        """Stop reading. Return False if the system's library still blocks the thread after 1 s."""
         self._ended.set()
         self._thread.join(1.0)
         return not self._thread.is_alive()
@@ -191,7 +201,10 @@ def connected(name: str, host: str) -> Any:
 
 
 class Station:
-    """A system's camera, and who is told. Raises CannotServe."""
+    """Base station: reads frames of one motion capture system and sends robots their poses.
+
+    Raises CannotServe.
+    """
 
     def __init__(self, system: Any, forwarder: Forwarder, to: tuple[Receiver, ...]) -> None:
         self._forwarder = forwarder
@@ -199,7 +212,10 @@ class Station:
         self.camera = Camera(system)
 
     def serve(self, told: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
-        """Pass on for ever; `told` gets a line each second. Raises CannotServe when the system is gone."""
+        """Send poses without end; call `told` with a summary line each second.
+
+        Raises CannotServe when the motion capture system fails.
+        """
         said = clock()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             sender.setblocking(False)
@@ -215,14 +231,17 @@ class Station:
             raise CannotServe(f"the motion capture system is gone: {found}", "start again when it is there")
         measured, bodies = found
         for robot, datagram in self._forwarder.frame(bodies, measured, clock()).items():
-            with suppress(OSError):  # a full buffer, or nobody there yet
+            with suppress(OSError):  # the socket's buffer is full, or no agent listens there yet
                 sender.sendto(datagram, self._addresses[robot])
 
 
 def station(
     fleet: Fleet, path: str, key_path: str | None, name: str, host: str, rate: float, warn: Callable[[str], None]
 ) -> Station:
-    """The station of the fleet in the file `path`, with the system called `name` at `host`. Raises CannotServe."""
+    """Return the base station for the fleet file `path` and the motion capture system `name` at `host`.
+
+    Raises CannotServe.
+    """
     to = receivers(fleet, all_targets())
     key = keyed(fleet, path, key_path)
     session = next_session(Path(path).parent / SESSION, time.time_ns() // 1_000_000, warn)
@@ -232,8 +251,11 @@ def station(
 
 
 def next_session(path: Path, now: int, warn: Callable[[str], None]) -> int:
-    """Return a number greater than that of any run before, which the file at `path` keeps: `now`, milliseconds since
-    1970, unless the clock was ahead before."""
+    """Return a session number greater than that of every earlier run, and record it in the file at `path`.
+
+    The number is `now`, in milliseconds since 1970, or the recorded number plus one if that is greater (the clock
+    was set back).
+    """
     try:
         session = max(now, int(path.read_text()) + 1) if path.exists() else now
     except (OSError, ValueError):
@@ -258,8 +280,10 @@ def _resolved(receiver: Receiver) -> tuple[Any, ...]:
 
 
 def keyed(fleet: Fleet, path: str, key_path: str | None) -> bytes | None:
-    """Return the fleet's key: the file named, or beside the fleet file, or here; None for a fleet without. Raises
-    WrongFiles."""
+    """Return the fleet's key; None for a fleet without a key. Raises WrongFiles.
+
+    The key is read from `key_path`, else from beside the fleet file, else from the working directory.
+    """
     if not fleet.key and key_path is None:
         return None
     beside = Path(path).parent / fleet.key

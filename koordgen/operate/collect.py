@@ -1,8 +1,9 @@
 """Collection of robots' traces and logs from their hosts into one run folder.
 
-A file arrives as NAME.part and gets its name when all bytes that it had are there. A later collection into the same
-folder goes on: only bytes that are missing travel. A robot's current trace becomes an older, numbered part whenever its
-agent begins anew (koordgen/runtime/trace/parts.py); it is recognised by its last bytes, and not fetched again.
+A file is fetched as NAME.part, and is renamed to NAME when it is complete, as long as it was on the host at the start.
+A later collection into the same folder fetches only the missing bytes. Whenever a robot's agent starts again, its
+current trace on the host is renamed to an older, numbered part (koordgen/runtime/trace/parts.py). The collection
+recognises such a part by its last bytes, and does not fetch it again.
 """
 
 from __future__ import annotations
@@ -24,15 +25,18 @@ from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE
 from koordgen.runtime.trace.parts import base_of, numbered
 
-MARKER = ".koord-collect"  # what later collections need to know; a simulation never clears a folder with it
+MARKER = ".koord-collect"  # file with the state for later collections; a simulation never clears a folder that has it
 LOG = "log.txt"
 PART = ".part"
-AT_ONCE = 1 << 20  # bytes of one request
-OVERLAP = 512  # bytes that are fetched again, to see that a file is still the same one
+AT_ONCE = 1 << 20  # largest number of bytes that one request fetches
+OVERLAP = 512  # bytes that are fetched again and compared, to check that a file continues the one fetched before
 
 
 class CannotCollect(Exception):
-    """Nothing, or nothing of one robot, can be collected into the folder; `help` is the way out."""
+    """The folder cannot be used, or the files of one robot cannot be collected into it.
+
+    `help` says what to do.
+    """
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -40,7 +44,7 @@ class CannotCollect(Exception):
 
 
 class Collected(Node):
-    """Files of one robot, and the bytes that were fetched this time."""
+    """Number of files of one robot, and the bytes that this collection fetched."""
 
     robot: str
     files: int
@@ -48,8 +52,10 @@ class Collected(Node):
 
 
 class Folder:
-    """The run folder, claimed for one collection, as a context manager. Raises CannotCollect when other files are in
-    it or another collection runs, OSError."""
+    """Context manager: a run folder, locked for one collection.
+
+    Raises CannotCollect when the folder holds files of another origin, or another collection uses it; OSError.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -82,19 +88,22 @@ class Folder:
             self._marker.close()
 
     def robot(self, name: str) -> Path:
-        """Return the folder of one robot's files; it is made when it is missing."""
+        """Return the folder of one robot's files; make it if it is missing."""
         folder = self.path / ROBOTS / name
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
     def known(self, robot: str) -> Mapping[str, Any]:
-        """Return what earlier collections noted of a robot's log: `next`, the time of
-        its last line by the host's clock, and `size` in bytes."""
+        """Return the state of a robot's log after the last collection; empty before the first one.
+
+        next: time of the log's last line, by the host's clock.
+        size: size of the log in bytes.
+        """
         found = self._known.get(robot)
         return found if isinstance(found, dict) else {}
 
     def note(self, robot: str, **what: Any) -> None:
-        """Note it for later collections."""
+        """Record the state of a robot's log for later collections."""
         assert self._marker is not None
         self._known[robot] = what
         self._marker.seek(0)
@@ -104,8 +113,12 @@ class Folder:
 
 
 class Collection(Node):
-    """Files of each robot, why other robots were missed, and the programs of the releases that hosts still have: of
-    each one its files by name, the newest release first."""
+    """Result of a collection.
+
+    robots: files of each robot.
+    missed: reason why a robot's files were not collected.
+    programs: for each release that a host still has, newest first: the files of its program, by name.
+    """
 
     robots: dict[str, Collected]
     missed: dict[str, HostError | CannotCollect | OSError]
@@ -113,7 +126,7 @@ class Collection(Node):
 
 
 async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int], None]) -> Collection:
-    """Bring the traces and logs of all robots into the folder, hosts side by side."""
+    """Fetch the traces and logs of all robots into the folder, from all hosts in parallel."""
     found: dict[str, Collected] = {}
     missed: dict[str, HostError | CannotCollect | OSError] = {
         robot: error for error in sessions.failed for robot in error.host.robots
@@ -126,7 +139,7 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
                 ahead = (await clock_offset(session)).ahead
                 try:
                     found[robot] = await collect(session, robot, into, ahead, progress)
-                except CannotCollect:  # its agent may have begun another part between the list and a file
+                except CannotCollect:  # the agent may have begun another part after the files were listed: try again
                     found[robot] = await collect(session, robot, into, ahead, progress)
                 if not programs:
                     programs.extend(await _programs(session, robot))
@@ -138,7 +151,10 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
 
 
 async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
-    """Return what a trace is replayed with, of each release that the host has: program, params, extern functions."""
+    """Return the program files of each release on the host, which are needed to replay a trace.
+
+    They are the program, its params and its extern functions.
+    """
     deployment = (await session.call("inspect"))["deployment"]
     found = []
     for release in dict.fromkeys([deployment["confirmed"], *reversed(deployment["history"])]):
@@ -151,8 +167,11 @@ async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
 async def collect(
     session: Session, robot: str, into: Folder, ahead: float, progress: Callable[[int], None]
 ) -> Collected:
-    """Bring one robot's traces and log into the folder. `ahead`: how far the host's clock is ahead, in seconds;
-    `progress` is called with bytes as they arrive. Raises HostError, CannotCollect, OSError."""
+    """Fetch one robot's traces and log into the folder. Raises HostError, CannotCollect, OSError.
+
+    ahead: seconds by which the host's clock is ahead of this computer's clock.
+    progress: called with the number of bytes of each piece that arrives.
+    """
     folder = into.robot(robot)
     answer = await session.call("traces", robot=robot)
     sizes = {str(each["name"]): int(each["size"]) for each in answer["files"]}
@@ -165,7 +184,7 @@ async def collect(
 
 
 def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
-    """Raise CannotCollect unless all names are those of trace files: they become paths here."""
+    """Raise CannotCollect unless all names are those of trace files: they become paths on this computer."""
     for name in names:
         if "/" in name or not name.startswith(TRACE.partition(".")[0]) or not name.endswith(".jsonl"):
             raise CannotCollect(
@@ -174,8 +193,10 @@ def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
 
 
 async def _recognise_current(session: Session, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
-    """Give the current trace of an earlier collection the number that it has on the host by now, if any; return the
-    bytes that were fetched to find out."""
+    """Rename the current trace of an earlier collection if it has become a numbered part on the host.
+
+    Returns the number of bytes that were fetched to find out.
+    """
     current = folder / TRACE
     latest = max((number for number, _ in numbered(current)), default=0)
     newer = [number for name in sizes if (number := _number(name)) > latest]
@@ -189,21 +210,23 @@ async def _recognise_current(session: Session, robot: str, folder: Path, sizes: 
             still, more = await _is_continued(session, robot, TRACE, current, sizes.get(TRACE, 0))
             if not still:
                 raise _other(current)
-            return fetched + more  # its agent began another part while the trace was fetched the last time
+            return fetched + more  # the agent began another part during the last collection: the name is right
     current.replace(folder / name)
     (folder / f"{TRACE}{PART}").unlink(missing_ok=True)
     return fetched
 
 
 def _number(name: str) -> int:
-    """Return the number of an older part; 0 of the current one."""
+    """Return the number in the name of an older part of a trace; 0 for the current trace."""
     _, dash, number = name.removesuffix(".jsonl").rpartition("-")
     return int(number) if dash and number.isdecimal() else 0
 
 
 async def _fetch(session: Session, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
-    """Bring the first `size` bytes of a file; return how many were fetched. Raises CannotCollect when the file here is
-    of another recording."""
+    """Complete the local copy of a file up to `size` bytes; return the number of bytes fetched.
+
+    Raises CannotCollect when the local file is not a beginning of the file on the host.
+    """
     part = path.with_name(f"{path.name}{PART}")
     here, arrived = (each.stat().st_size if each.exists() else 0 for each in (path, part))
     start = part if arrived > here else path
@@ -230,8 +253,10 @@ async def _fetch(session: Session, robot: str, path: Path, size: int, progress: 
 
 
 async def _is_continued(session: Session, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
-    """Return whether a file of `size` bytes on the host begins as `path` does, as far as the last bytes tell; and the
-    bytes fetched."""
+    """Return whether a file of `size` bytes on the host continues the file `path`, and the bytes fetched.
+
+    Only the last OVERLAP bytes of the local file are compared.
+    """
     known = path.stat().st_size
     if not 0 < known <= size:
         return known == 0, 0
@@ -257,10 +282,13 @@ def _other(path: Path) -> CannotCollect:
 
 
 async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -> int:
-    """Append the log lines that are new, each with its time by this computer's clock; return their bytes."""
+    """Append a robot's new log lines, with times by this computer's clock.
+
+    Return the number of bytes written.
+    """
     path, known, fetched = into.robot(robot) / LOG, into.known(robot), 0
     with path.open("ab") as file:
-        file.truncate(int(known.get("size", 0)))  # what was written after the last note is fetched again
+        file.truncate(int(known.get("size", 0)))  # lines after the last recorded state are fetched again
         file.seek(0, os.SEEK_END)
         cursor = known.get("next", 0.0)
         while True:

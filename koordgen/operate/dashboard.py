@@ -1,7 +1,7 @@
-"""Data source of the dashboard: asks all robots of a fleet a few times a second over their control ports.
+"""Data source of the dashboard: requests the status of all robots 4 times a second.
 
-Each robot has a thread of its own, so a robot that does not answer, or whose name takes long to be looked up, delays no
-other robot. A report is shown at most EVERY + WITHIN seconds after the agent made it, as long as the robot answers.
+Each robot has its own thread, so a robot that does not answer, or a slow name lookup, delays no other robot. As long as
+a robot answers, its report is shown at most EVERY + WITHIN seconds after the agent made it.
 Nothing is changed on any robot.
 """
 
@@ -19,15 +19,18 @@ from koordgen.lang.node import Node
 from koordgen.operate.estop import Fleet, Place
 from koordgen.operate.status import Asked, ask_one, odd_releases
 
-EVERY = 0.25  # seconds from one question to a robot to the next
-WITHIN = 0.5  # seconds that an answer may take
+EVERY = 0.25  # seconds from one status request to a robot to the next
+WITHIN = 0.5  # seconds to wait for an answer
 
 Take = Callable[[int, Asked], None]
 
 
 class Poller:
-    """Asks robots until it is closed. `take` gets each answer with the robot's index in the fleet's places, also those
-    without a report; several threads call it."""
+    """Poller: requests the status of all robots periodically until it is closed.
+
+    `take` is called with the robot's index in `fleet.places` and its answer, also if that has no report. Several
+    threads call it.
+    """
 
     def __init__(self, fleet: Fleet, key: bytes | None, take: Take) -> None:
         self._fleet, self._key, self._take = fleet, key, take
@@ -38,19 +41,19 @@ class Poller:
         ]
 
     def start(self) -> None:
-        """Begin to ask."""
+        """Start to poll all robots."""
         for thread in self._threads:
             thread.start()
 
     def close(self) -> None:
-        """End all threads. Returns when no further answer will be taken."""
+        """End all threads. After the return, `take` is not called any more."""
         self._over.set()
         for thread in self._threads:
             thread.join()
 
     @property
     def odd(self) -> frozenset[str]:
-        """Names of the robots whose release is not the one that most robots run, by their last answers."""
+        """Names of the robots whose release, by their last answers, differs from that of most robots."""
         return frozenset(odd_releases(list(self._last.values())))
 
     def _ask(self, index: int) -> None:
@@ -65,16 +68,21 @@ class Poller:
 
 
 class Facts(Node):
-    """Facts about a fleet that its robots do not report. `fleet` has the robots in the order of their pids; `plain` are
-    plain values: obstacles, world, the targets by robot."""
+    """Facts about a fleet that its robots do not report.
+
+    fleet: the robots in the order of their process ids (pid: index of a robot in the fleet).
+    plain: plain values: obstacles, world, the targets by robot.
+    """
 
     fleet: Fleet
     plain: Mapping[str, Any]
 
 
 def built_facts(fleet: Fleet, path: Path) -> Facts:
-    """Return the facts that stand in the settings of a folder that `koordgen build` wrote, or a simulated run. A robot
-    that other robots' settings name, and that has no folder there, is listed without a port."""
+    """Return the facts in the robots' settings, from a folder of `koordgen build` or of a simulated run.
+
+    A robot that is named only in the settings of other robots is listed with port 0.
+    """
     found: list[dict[str, Any]] = []
     for file in sorted(path.glob("**/settings.json")):
         with suppress(OSError, ValueError):

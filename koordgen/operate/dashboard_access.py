@@ -1,7 +1,7 @@
-"""Access to the dashboard: the address it may be bound to, its certificate, and the token that a browser must send.
+"""Access to the dashboard: address to bind to, TLS certificate, and token that a browser must send.
 
-On the loopback only programs of this computer reach it. At any other address everybody on the network does: there it
-needs TLS and a token.
+At the loopback address only programs on this computer can reach the dashboard. At any other address everybody on the
+network can, so TLS and a token are required there.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ SHORTEST_TOKEN = 32  # characters
 
 
 class Refused(Exception):
-    """The dashboard cannot start; `help` is the way out. `usage`: the options are wrong, not a file."""
+    """The dashboard cannot start; `help` says what to do.
+
+    `usage`: the reason is a wrong option, not a file.
+    """
 
     def __init__(self, message: str, help: str, usage: bool = False) -> None:
         super().__init__(message)
@@ -28,7 +31,7 @@ class Refused(Exception):
 
 
 class Access(Node):
-    """The address, the TLS context (None: plain HTTP) and the token (empty: none is asked for)."""
+    """Address to bind to, TLS context (None: plain HTTP), and token (empty: no token is required)."""
 
     host: str
     tls: ssl.SSLContext | None
@@ -36,7 +39,10 @@ class Access(Node):
 
 
 def access(bind: str, port: int, cert: str | None, key: str | None, token: str | None) -> Access:
-    """Check the options of the command, and read or make the files they name. Raises Refused."""
+    """Check the options of the command, and read the files that they name. Raises Refused.
+
+    A token file that does not exist is made, with a new random token.
+    """
     tunnel = f"or leave out --bind and open an SSH tunnel from the other computer: ssh -L {port}:{LOOPBACK}:{port} "
     tunnel += "USER@THIS_COMPUTER"
     if bool(cert) != bool(key):
@@ -68,7 +74,12 @@ def _context(cert: str, key: str) -> ssl.SSLContext:
 
 
 def read_token(path: Path) -> str:
-    """Return the token in a file that only its owner can read; make the file where there is none. Raises Refused."""
+    """Return the token in a file that only its owner may read.
+
+    If it does not exist, make it with a new token.
+
+    Raises Refused.
+    """
     try:
         with path.open(encoding="ascii", errors="replace") as file:
             mode = os.fstat(file.fileno()).st_mode & 0o777

@@ -1,9 +1,10 @@
-"""Deployments that the whole fleet takes or none of it: stage all, verify all, switch all, then confirm in two phases.
+"""Deployments by two-phase commit: a release is installed on all hosts of the fleet, or on none.
 
-A host that switched returns to its old release by itself unless it is confirmed in time. Phase one (`prepare`) finds
-out whether every host could confirm; only then phase two (`confirm`) begins. A failure before phase two reverts all
-hosts. A host that misses phase two returns by itself; then robots of two releases cannot begin a mission together,
-and the next deployment repairs the fleet.
+The steps are: stage on all hosts, verify, switch, then confirm in two phases. A host that switched reverts to its old
+release by itself unless the switch is confirmed in time. Phase one (`prepare`) checks that every host can confirm; only
+then phase two (`confirm`) begins. A failure before phase two reverts all hosts. A host that misses phase two reverts by
+itself. The fleet then has two releases; its robots refuse to begin a mission together, and the next deployment repairs
+it.
 """
 
 from __future__ import annotations
@@ -33,16 +34,18 @@ from koordgen.operate.release import (
 )
 from koordgen.operate.wheels import CannotFetch, WheelSet, platform_of, wheel_set
 
-CONFIRM_WITHIN = 60.0  # seconds from the switch in which a host must be prepared, and again to be confirmed
-MOST_CLOCK_ERROR = 60.0  # seconds between a host's clock and this computer's
+CONFIRM_WITHIN = 60.0  # seconds from the switch to the end of `prepare`; as many are added for `confirm`
+MOST_CLOCK_ERROR = 60.0  # largest difference in seconds between a host's clock and this computer's clock
 NOTHING_CHANGED = "nothing was changed: every robot keeps its release"
 
 Say = Callable[[str], None]
 
 
 class Failed(Exception):
-    """The fleet does not run what was asked. `outcome` says in one sentence what every robot has now. Without errors
-    the user interrupted it."""
+    """A deployment failed, or the user interrupted it (then `errors` is empty).
+
+    `outcome` says in one sentence which release every robot has now.
+    """
 
     def __init__(self, errors: Iterable[HostError], outcome: str = NOTHING_CHANGED) -> None:
         self.errors = tuple(errors)
@@ -51,11 +54,11 @@ class Failed(Exception):
 
 
 class Missed(Failed):
-    """Some hosts missed phase two, and the others did not."""
+    """Some hosts confirmed the release, and others missed phase two."""
 
 
 class Interrupted(Exception):
-    """The user interrupted a phase, whose results and failures are here."""
+    """The user interrupted a phase. `results`: the results and the failures of that phase."""
 
     def __init__(self, results: tuple[dict[Host, Any], list[HostError]]) -> None:
         super().__init__("interrupted")
@@ -63,7 +66,14 @@ class Interrupted(Exception):
 
 
 class Deployed(Node):
-    """Outcome on each host. `before` and `changed` by host; `seconds` by phase; `sent` in bytes by host."""
+    """Result of a deployment.
+
+    release: the release that all hosts have now.
+    before: the release that each host had before; None: none.
+    changed: hosts that were switched.
+    seconds: duration of each phase.
+    sent: bytes that were sent to each host.
+    """
 
     release: str
     before: dict[Host, str | None]
@@ -73,7 +83,10 @@ class Deployed(Node):
 
 
 class Built(Node):
-    """Input of a deployment. `wheels`: as in the fleet file; `folder`: the folder of the fleet file."""
+    """Input of a deployment: the bundles, and facts of the fleet file.
+
+    `folder`: the folder of the fleet file.
+    """
 
     bundles: Bundles
     app: str
@@ -85,7 +98,7 @@ class Built(Node):
 
 
 class Phases:
-    """The sessions of one deployment. Every phase runs on all hosts side by side, and fails when it fails on one."""
+    """Phases of one deployment. Each phase runs on all hosts in parallel, and fails if one host fails."""
 
     def __init__(self, opened: Sessions, say: Say) -> None:
         self.hosts = opened.reached
@@ -99,7 +112,10 @@ class Phases:
         among: Collection[Host] | None = None,
         patient: bool = False,
     ) -> dict[Host, Any]:
-        """Ask hosts (default: all). Raises Failed, once all have answered."""
+        """Run `ask` on the hosts `among` (default: all).
+
+        Raises Failed after all hosts have answered, if one failed.
+        """
         found, failed = await self.attempt(name, ask, among, patient)
         if failed:
             raise Failed(failed)
@@ -112,8 +128,11 @@ class Phases:
         among: Collection[Host] | None = None,
         patient: bool = False,
     ) -> tuple[dict[Host, Any], list[HostError]]:
-        """Ask hosts (default: all); return the results and the failures. `patient`: an interrupt waits until all have
-        answered, because a request that was cut off leaves its host in a state that nobody knows."""
+        """Run `ask` on the hosts `among` (default: all); return the results and the failures.
+
+        patient: an interrupt by the user takes effect after all hosts have answered, because the state of a host
+            would be unknown after a request that was cut off.
+        """
         asked = tuple(each for each in self.hosts if among is None or each.host in among)
         self._say(f"{name}: {len(asked)} host{'s' if len(asked) != 1 else ''}")
         began = time.monotonic()
@@ -125,7 +144,10 @@ class Phases:
 
 
 async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
-    """Return the result of `work`, also after an interrupt: raises Interrupted with it once the work is done."""
+    """Return the result of `work`.
+
+    After an interrupt, wait for `work` to end and raise Interrupted with its result.
+    """
     task = asyncio.ensure_future(work)
     try:
         return await asyncio.shield(task)
@@ -135,7 +157,7 @@ async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
 
 
 def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Deployed:
-    """Bring all hosts to the release that was built. Raises Failed, Missed, NoHosts."""
+    """Deploy the release that was built to all hosts. Raises Failed, Missed, NoHosts."""
 
     async def run(phases: Phases) -> Deployed:
         inspected = await _begin(phases, "deploy", built.service)
@@ -177,8 +199,11 @@ async def _with_sessions(
 
 
 async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Answer]:
-    """Lock all hosts, and refuse those on which nothing may be changed now. The first host's lock decides between two
-    deployments at once; then the rest is free."""
+    """Lock and inspect all hosts, and refuse those that may not be changed now.
+
+    Every deployment locks the first host (by login) before the others. Of two simultaneous deployments, only the one
+    that locked the first host goes on to the other hosts, so the two cannot block each other.
+    """
     first, *rest = sorted(each.host.login.text for each in phases.hosts)
     by_text = {each.host.login.text: each.host for each in phases.hosts}
 
@@ -199,15 +224,17 @@ async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Ans
 
 
 def _refuse_state(host: Host, answer: Answer, before: float, after: float, service: str) -> None:
-    """Raises HostError for a host on which a deployment would fail or do harm. Times in seconds since 1970: the answer
-    was given between `before` and `after`."""
+    """Raise HostError for a host on which a deployment would fail or do harm.
+
+    The host gave its answer between `before` and `after`, in seconds since 1970 by this computer's clock.
+    """
     if not answer["writable"]:
         help = "an SD card that fails becomes read-only: look at `dmesg`, then mount it for writing"
         raise HostError(host, "read-only", f"{answer['folder']} cannot be written", help)
     flying = {name: robot for name, robot in answer["robots"].items() if robot["running"]}
     if flying:
         named = ", ".join(f"{name} ({robot['phase'] or 'phase unknown'})" for name, robot in flying.items())
-        help = "bring the fleet to rest and end its agents: `koordgen stop FLEET`"
+        help = "stop the robots and end their agents: `koordgen stop FLEET`"
         raise HostError(host, "in flight", f"agents run there: {named}", help)
     error = min(0.0, answer["clock"] - before) + max(0.0, answer["clock"] - after)
     if abs(error) > MOST_CLOCK_ERROR:
@@ -222,7 +249,7 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
 
 
 async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer], built: Built, take_over: bool) -> None:
-    """Raises Failed when a host runs a release of another application, or of robots that this fleet does not have."""
+    """Raise Failed if a host has a release of another fleet: another application, or unknown robots."""
     if take_over:
         return
     deployed = [host for host, answer in inspected.items() if answer["deployment"]["confirmed"]]
@@ -232,7 +259,7 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
             confirmed = inspected[session.host]["deployment"]["confirmed"]
             document = (await session.call("release", id=confirmed))["release"]
         except HostError as error:
-            if error.code == "missing":  # somebody deleted it; this deployment repairs that
+            if error.code == "missing":  # the release's files were deleted; this deployment makes new ones
                 return
             raise
         strange = [name for name in document["robots"] if name not in built.bundles]
@@ -248,7 +275,7 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
 
 
 async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
-    """Return the wheels for each host; None where its interpreter has the packages already. Raises Failed."""
+    """Return the wheels for each host; None for each if the fleet file says `wheels: host`. Raises Failed."""
     if built.wheels == "host":
         return {each.host: None for each in phases.hosts}
     folder = None if built.wheels == "index" else built.folder / built.wheels
@@ -276,7 +303,7 @@ async def _send(
     sets: Mapping[Host, WheelSet | None],
     key: bytes | None,
 ) -> None:
-    """Send what each host lacks, and stage its part of the release there: complete, but not used yet."""
+    """Send each host the files that it lacks, and stage its part of the release. It is not current yet."""
     packed: dict[tuple[str, ...], Any] = {}
 
     def pack(contents: list[tuple[str, str, bytes]]) -> Any:
@@ -312,7 +339,10 @@ async def _send_key(session: Session, key: bytes | None) -> None:
 
 
 async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -> Deployed:
-    """Switch all hosts that do not run `name` yet, and confirm it in two phases. Raises Failed, Missed."""
+    """Switch all hosts that do not have release `name` yet, and confirm it in two phases.
+
+    Raises Failed, Missed.
+    """
     states = {host: answer["deployment"] for host, answer in inspected.items()}
     before = {host: state["confirmed"] for host, state in states.items()}
     late = [host for host, state in states.items() if state["confirmed"] != name or state["pending"]]
@@ -329,19 +359,22 @@ async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -
 
 
 async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
-    """Return all hosts to their releases; say in one sentence what they have then."""
+    """Revert all hosts to the releases before; return one sentence that says which releases they have."""
     _, failed = await phases.attempt("revert", lambda each: each.call("revert", id=name), late)
     if not failed:
         return NOTHING_CHANGED
     named = ", ".join(robot for error in failed for robot in error.host.robots)
     return (
-        f"every robot keeps its release; the hosts of {named} could not be told, and return to it by themselves within "
-        f"{2 * CONFIRM_WITHIN:g} s"
+        f"every robot keeps its release; the hosts of {named} could not be reached, and return to it by themselves "
+        f"within {2 * CONFIRM_WITHIN:g} s"
     )
 
 
 async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
-    """Phase two. It is not given up once it began: the more hosts confirm, the less is there to repair."""
+    """Run phase two on all hosts, even after an interrupt: fewer hosts remain to be repaired.
+
+    Raises Missed.
+    """
     try:
         _, failed = await phases.attempt("confirm", lambda each: each.call("confirm", id=name), late, True)
     except Interrupted as interrupted:
@@ -359,14 +392,17 @@ async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
 
 
 def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Deployed:
-    """Bring all hosts to a release that they still have: `to`, or the one before. Raises Failed, Missed, NoHosts."""
+    """Roll all hosts back to the release `to`, or else to the latest other release that all still have.
+
+    Raises Failed, Missed, NoHosts.
+    """
 
     async def run(phases: Phases) -> Deployed:
         inspected = await _begin(phases, "rollback")
         name = _common_release(inspected, to)
 
         async def check(session: Session) -> None:
-            await session.call("verify", id=name, load=False)  # its bundles were loaded when it was deployed
+            await session.call("verify", id=name, load=False)  # loading was checked when the release was deployed
             document = (await session.call("release", id=name))["release"]
             _refuse_robots(session.host, document)
             if document["key"] != key_id(key):
@@ -381,7 +417,10 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
 
 
 def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
-    """Return the release to return to: the newest one that all hosts have and not all run. Raises Failed."""
+    """Return the release to roll back to: `to`, or the newest one that all hosts have and not all run.
+
+    Raises Failed.
+    """
     histories = {host: answer["deployment"]["history"] for host, answer in inspected.items()}
     confirmed = {answer["deployment"]["confirmed"] for answer in inspected.values()}
     first = next(iter(histories.values()))
@@ -409,7 +448,7 @@ def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
 
 
 def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Deployed:
-    """Bring all hosts to their present release with another key. Raises Failed, Missed, NoHosts."""
+    """Give all hosts a new key, as a new release with the same bundles. Raises Failed, Missed, NoHosts."""
 
     async def run(phases: Phases) -> Deployed:
         inspected = await _begin(phases, "key rotate")
@@ -433,7 +472,7 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Dep
 
 
 async def _present(session: Session, inspected: Answer) -> Answer:
-    """Return the confirmed release of a host. Raises HostError."""
+    """Return the confirmed release of a host. Raises HostError if it has none, or one of other robots."""
     confirmed = inspected["deployment"]["confirmed"]
     if confirmed is None:
         raise HostError(session.host, "missing", "no release is there", "run `koordgen deploy` first")
@@ -447,8 +486,10 @@ def _fleetwide_of(document: Mapping[str, Any], key: str) -> Fleetwide:
 
 
 def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mapping[str, Mapping[str, str]]) -> None:
-    """Raises Failed when hosts have releases that differ in more than the key: a rotation that some hosts missed is
-    repaired by the next one."""
+    """Raise Failed if the releases of hosts differ in more than the key.
+
+    Releases that differ in the key alone are accepted: some hosts missed an earlier rotation, and this one repairs it.
+    """
     odd = [
         host for host, document in documents.items()
         if release_id(_fleetwide_of(document, document["key"]), entries) != document["id"]

@@ -1,4 +1,4 @@
-"""`koordgen doctor`: lets a robot's bundle tell, with this Python, what it finds of its surroundings."""
+"""`koordgen doctor`: runs the checks of a robot's bundle on this computer, with this Python."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _VERSION = re.compile(r'^__version__ = "([^"]*)"', re.MULTILINE)
 
 
 class CannotExamine(Exception):
-    """The bundle cannot be run; `help` is the way out."""
+    """The bundle cannot be run; `help` says what to do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class CannotExamine(Exception):
 
 
 class NoBundle(CannotExamine):
-    """The folder is no robot's bundle of this koordgen."""
+    """The folder is not a robot's bundle built by this version of koordgen."""
 
 
 def robots_bundle(path: str) -> Path:
@@ -54,7 +54,10 @@ def _version(folder: Path) -> str:
 
 
 def examine(path: str, settings: str | None, form: str) -> int:
-    """Run the bundle's own `--doctor`, which prints; its exit status. Raises CannotExamine."""
+    """Run a bundle with `--doctor`, which prints its findings, and return its exit status.
+
+    Raises CannotExamine.
+    """
     command = [sys.executable, str(robots_bundle(path).resolve()), "--doctor", f"--format={form}"]
     if settings is not None:
         command.append(f"--settings={settings}")

@@ -1,7 +1,8 @@
 """Emergency stop from outside: stop all robots of a fleet at once, and report each robot's answer.
 
-A robot is called every few milliseconds until it answers or time is up. No state of the fleet file keeps a robot from
-being stopped: what can be read of the file is used, then the folders of the last build, and addresses given by hand.
+Each robot gets stop requests every few milliseconds until it answers or the time is up. A damaged fleet file must not
+prevent the stop. Addresses are therefore taken from the part of the file that can be read, from the folders of the last
+build, and from the command line.
 """
 
 from __future__ import annotations
@@ -26,13 +27,14 @@ from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped,
 
 BY_HAND = "stop them by hand, now: remote control, kill switch, or cut their power"
 NO_ANSWER = "no answer"
-PATIENCE = 3.0  # seconds
-STALE_OFFER = 0.3  # seconds after which an unanswered challenge is asked for anew: the agent may have been restarted
-_SHORTEST, _EACH = 0.01, 0.0005  # seconds between two calls of a robot, of a fleet of 20 or less; and for each robot
+PATIENCE = 3.0  # seconds for which all robots are called before those without an answer are reported
+STALE_OFFER = 0.3  # seconds without an answer to the stop before a new challenge is requested: agents may restart
+# Period in seconds between two stop requests to one robot: _EACH times the number of robots, but at least _SHORTEST.
+_SHORTEST, _EACH = 0.01, 0.0005
 
 
 class Place(Node):
-    """Where a robot takes orders; port 0 when the fleet file does not tell."""
+    """Address of a robot's control port. Port 0: the fleet file has no address for the robot."""
 
     name: str
     host: str
@@ -40,8 +42,13 @@ class Place(Node):
 
 
 class Called(Node):
-    """What became of one robot's stop. `phase` is the agent's, empty without an answer; `after` in seconds; `note`
-    says why there was none, or what is odd about it."""
+    """Result of one robot's stop.
+
+    place: address that was called.
+    phase: phase that the agent reported; empty without an answer.
+    after: seconds from the first call to the answer.
+    note: reason why there was no answer, or what is wrong with the answer.
+    """
 
     place: Place
     phase: str
@@ -50,7 +57,7 @@ class Called(Node):
 
 
 class CannotStop(Exception):
-    """Nobody was called at all: the fleet file or the key cannot be used."""
+    """No robot was called, because the fleet file or the key cannot be used."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -62,7 +69,13 @@ class BadAddress(CannotStop):
 
 
 class Fleet(Node):
-    """`key` is the name of the key file, empty for a fleet without a key. `folder` is searched for that file first."""
+    """Robots to be called, and what is needed to authenticate.
+
+    places: control ports of the robots.
+    application: application_id of the fleet file.
+    key: name of the key file; empty for a fleet without a key.
+    folder: folder in which the key file is searched first.
+    """
 
     places: tuple[Place, ...]
     application: int
@@ -71,8 +84,10 @@ class Fleet(Node):
 
 
 def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
-    """Return whom to call: the robots of a fleet file, or of a folder that `build` wrote. Of a fleet file that cannot
-    be read as one, every address in its text is used, and every robot of the last build. Raises CannotStop."""
+    """Return the robots of a fleet file, or of a folder that `build` wrote. Raises CannotStop.
+
+    If the fleet file cannot be parsed, all addresses in its text and all robots of the last build are returned.
+    """
     if path.is_dir():
         return _built(path, CannotStop(f"{path}: no folder of a robot is in it (its settings.json is looked for)"))
     text = ""
@@ -99,7 +114,7 @@ def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
 
 
 def read_fleet(text: str) -> Fleet:
-    """Return what of a fleet file is needed to stop it. Raises CannotStop."""
+    """Return the entries of a fleet file that are needed to stop its robots. Raises CannotStop."""
     try:
         top = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
@@ -116,15 +131,17 @@ def read_fleet(text: str) -> Fleet:
     )
 
 
-# The parts of a text that may be one robot's entry begin at a dash or at a brace; comments are not looked at.
+# Patterns for a damaged fleet file. A robot's entry may begin at a dash or at a brace; comments are removed first.
 _COMMENT = re.compile(r"(?m)(^|\s)#.*$")
 _ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\baddress\b)")
 _VALUE = r"\b{}\s*:\s*['\"]?([^\s,'\"{{}}]+)"
 
 
 def scan_fleet(text: str) -> Fleet:
-    """Return the robots whose addresses stand in a text, however broken its YAML is: as `read_fleet`, and without any
-    robot where there is no address."""
+    """Return the robots whose addresses occur in a text that need not be valid YAML.
+
+    The result is like that of `read_fleet`, but its `places` are empty if the text contains no address.
+    """
     text = _COMMENT.sub("", text)
     places: list[Place] = []
     for part in _ENTRY.split(text):
@@ -148,7 +165,10 @@ def _values(text: str, key: str) -> Iterator[str]:
 
 
 def _last_build(folder: Path) -> tuple[Path, Fleet] | None:
-    """Return the robots of the application that was built last, in `build` beside the fleet file or here."""
+    """Return the latest build in `build/`, beside the fleet file or in the working directory.
+
+    None without one.
+    """
     built = [each for place in {folder / "build", Path("build")} for each in _folders(place)]
     for application in sorted(built, key=lambda each: each.stat().st_mtime, reverse=True):
         with suppress(CannotStop):
@@ -163,8 +183,10 @@ def _folders(place: Path) -> list[Path]:
 
 
 def _built(folder: Path, nobody: CannotStop) -> Fleet:
-    """Return the robots whose folders `build` wrote into one folder, or the robot of one such folder; raises `nobody`
-    where there is none."""
+    """Return the robots of a build folder, or the one robot of a robot's folder.
+
+    Raises `nobody` without any robot.
+    """
     places, application, key = [], 0, ""
     harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
     for each in sorted([folder, *_folders(folder), *_folders(folder / "robots"), *harness]):
@@ -188,8 +210,11 @@ def _place(pid: int, robot: dict[str, Any]) -> Place:
 
 
 def find_key(fleet: Fleet, path: str | None, key_path: str | None, warn: Callable[[str], None]) -> bytes | None:
-    """The key in `key_path`, else the one beside the fleet file `path`, else in the working directory; None for a fleet
-    without one. Raises CannotStop."""
+    """Return the fleet's key; None for a fleet without a key. Raises CannotStop.
+
+    The key is read from `key_path`, else from the fleet's folder, else from the folder of the fleet file `path`, else
+    from the working directory.
+    """
     if not key_path and not fleet.key:
         return None
     beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path())]
@@ -198,7 +223,10 @@ def find_key(fleet: Fleet, path: str | None, key_path: str | None, warn: Callabl
 
 
 def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
-    """The fleet's key. One that is not kept well is warned of, but is no reason not to stop. Raises CannotStop."""
+    """Return the key in a file. Raises CannotStop.
+
+    A key file that other users can read causes a warning only, because an emergency stop must not fail for it.
+    """
     try:
         return load_key(path)
     except BadKey as error:
@@ -211,7 +239,7 @@ def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
 
 
 class Stopping:
-    """One robot's stop, seen from us: send `datagram` until `phase` is there; `take` what comes."""
+    """Protocol that stops one robot: send `datagram`, and pass answers to `take`, until `phase` is set."""
 
     def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
         self.phase = ""
@@ -245,9 +273,12 @@ def stop_fleet(
     path: str | None, key_path: str | None, warn: Callable[[str], None], by_hand: Sequence[str] = (),
     application: int | None = None,
 ) -> list[Called]:  # fmt: skip
-    """Stop the robots of a fleet file (or of a folder that `build` wrote) and those at addresses given `by_hand`, as
-    HOST:PORT of the fleet file; at least one of both is given. `application` overrides the file's application_id.
-    Raises CannotStop."""
+    """Stop the robots of a fleet file and those at addresses that the user gave. Raises CannotStop.
+
+    path: fleet file, or a folder that `build` wrote. `path` or `by_hand` must be given.
+    by_hand: addresses HOST:PORT, as in the fleet file.
+    application: overrides the application_id of the fleet file.
+    """
     places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
     if wrong := [place.name for place in places if not place.port]:
         raise BadAddress(f"--address {wrong[0]}: not HOST:PORT")
@@ -266,7 +297,7 @@ def stop_fleet(
 
 
 def show(results: list[Called], form: str) -> str:
-    """Return what became of each robot, for people or as one JSON document."""
+    """Return the result of each robot's stop, as text or as one JSON document."""
     if form == "json":
         robots = [
             {
@@ -287,12 +318,12 @@ def show(results: list[Called], form: str) -> str:
 def _told(result: Called) -> str:
     if not result.phase:
         return f"{result.note.replace(NO_ANSWER, NO_ANSWER.upper())} ({result.place.host}:{result.place.port})"
-    did = "is at rest" if result.phase == "rested" else "is coming to rest: it lands or brakes"
+    did = "has stopped" if result.phase == "rested" else "is stopping: it lands or brakes"
     return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
 
 
 def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patience: float) -> list[Called]:
-    """Stop all robots at once; a name that takes long to be looked up keeps nobody else waiting."""
+    """Stop all robots in parallel, one thread each, so that a slow name lookup delays no other robot."""
     results = [Called(place, "", 0.0, NO_ANSWER) for place in fleet]
     every = max(_SHORTEST, _EACH * len(fleet))
     began = time.monotonic()

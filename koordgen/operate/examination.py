@@ -1,4 +1,7 @@
-"""Examination of a whole fleet before a mission: every robot's own doctor, side by side, as one table."""
+"""Examination of a whole fleet before a mission: runs `doctor` on every robot, and shows one table.
+
+`doctor` is a command of each robot's bundle. It checks the robot's computer, network, settings and devices.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,16 @@ from koordgen.lang.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 
 _STATES = ("ok", "warn", "fail")
-UNREACHED = 5  # exit status for a robot whose doctor could not be asked
+UNREACHED = 5  # exit status for a robot whose host could not be reached
 
 
 class Examined(Node):
-    """One robot. `status` is its doctor's exit status; `findings` as the doctor's document has them; `problem` says why
-    there are none."""
+    """Result of one robot's `doctor`.
+
+    status: exit status.
+    findings: results of the checks, in the format of the command's JSON document.
+    problem: reason why there are no findings; empty if there are.
+    """
 
     robot: str
     status: int
@@ -29,7 +36,10 @@ class Examined(Node):
 
 
 async def examine(sessions: Sessions) -> list[Examined]:
-    """Let the doctors of all robots look, those of one host after one another; hosts that failed stand last."""
+    """Run `doctor` on all robots; return the results, with those of hosts that failed at the end.
+
+    Hosts are examined in parallel, the robots of one host one after another.
+    """
     found, failed = await sessions.each(_examine_host)
     missed = [(robot, error) for error in (*sessions.failed, *failed) for robot in error.host.robots]
     return [
@@ -57,7 +67,7 @@ def _problem(error: HostError) -> str:
 
 
 def worst(examined: Sequence[Examined]) -> int:
-    """Return the exit status of the worst robot: 5 (surroundings) is worse than 1 (files), which is worse than 0."""
+    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files), or 0 (no problem)."""
     return max((each.status for each in examined), default=0)
 
 
@@ -71,7 +81,7 @@ def to_json(examined: Sequence[Examined]) -> str:
 
 
 def table(examined: Sequence[Examined]) -> str:
-    """Return a line for each robot with the number of its findings by state, below it those that are not ok."""
+    """Return a table with the number of each robot's findings by state, and the findings that are not ok."""
     width = max(len("robot"), *(len(each.robot) for each in examined))
     lines = [f"{'robot':<{width}}  " + "  ".join(f"{state:>4}" for state in _STATES)]
     for each in examined:

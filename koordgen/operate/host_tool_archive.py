@@ -1,4 +1,4 @@
-"""The robot-side tool as one file that any Python of a host runs."""
+"""Archive of the robot-side tool: one .pyz file that a host's Python runs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import zipfile
 from koordgen.lang.resources import package
 
 _STUB = "from host_tool.__main__ import main\n\nraise SystemExit(main())\n"
-_MADE = (1980, 1, 1, 0, 0, 0)  # the earliest time that a ZIP file can tell
+_MADE = (1980, 1, 1, 0, 0, 0)  # time stamp of all entries: the earliest that the ZIP format can represent
 
 
 def archive() -> bytes:
-    """Return the tool as a .pyz. The same sources give the same bytes on every computer, so nothing is compressed."""
+    """Return the tool as a .pyz. Equal sources give equal bytes on every computer.
+
+    The archive is not compressed, because different versions of zlib may compress to different bytes.
+    """
     folder = package() / "operate" / "host_tool"
     texts = {f"host_tool/{path.name}": path.read_bytes() for path in folder.glob("*.py")}
     texts["__main__.py"] = _STUB.encode()
@@ -21,6 +24,6 @@ def archive() -> bytes:
         for name, text in sorted(texts.items()):
             entry = zipfile.ZipInfo(name, _MADE)
             entry.external_attr = 0o644 << 16
-            entry.create_system = 3  # Unix, on whatever system it is made
+            entry.create_system = 3  # Unix, whatever the present system is: the bytes must be equal
             file.writestr(entry, text)
     return made.getvalue()

@@ -1,8 +1,9 @@
 """SSH sessions with the hosts of a fleet, side by side.
 
-A host is a computer of robots, `user@name[:port]`; several robots may share it, and then share its session. A session
-runs the tool of koordgen/operate/host_tool on the host and asks it one request at a time. The tool is uploaded when the
-host does not have it. Host keys must stand in known_hosts: an unknown or a changed key is an error, never accepted.
+A host is a computer that runs the agents of one or several robots, `user@name[:port]`. Robots of one host share one SSH
+session. The session starts the tool of koordgen/operate/host_tool on the host, and sends it one request at a time. The
+tool is uploaded when the host does not have it. An SSH host key that is not in known_hosts, or differs from the key
+there, is an error; it is never accepted.
 """
 
 from __future__ import annotations
@@ -28,16 +29,19 @@ if TYPE_CHECKING:
     import asyncssh
 
 CONNECT_TIMEOUT = 10.0  # seconds
-START_TIMEOUT = 60.0  # seconds in which a slow computer has started the tool
-KEEPALIVE = 5.0  # seconds between two questions of SSH whether the host is still there; three unanswered end the link
-PING = 10.0  # seconds without a request after which the tool gets one, so that it does not end the session
-LONGEST_LINE = 1 << 24  # bytes of one answer, without its data
+START_TIMEOUT = 60.0  # seconds within which a host must start the tool
+KEEPALIVE = 5.0  # seconds between two SSH keepalive messages; the connection is closed after three without an answer
+PING = 10.0  # seconds without a request before a `ping` is sent, because the tool ends an idle session
+LONGEST_LINE = 1 << 24  # largest size of an answer's JSON line, in bytes
 _CHATTER = 1 << 16  # bytes that a login shell may print before the tool answers
 OLDEST_PYTHON = (3, 10)
 
 
 class Host(Node):
-    """One computer, and the robots of the fleet that live on it. `folder` and `python` as in the fleet file."""
+    """One computer, and the robots whose agents it runs.
+
+    `folder` and `python` are entries of the fleet file.
+    """
 
     login: Login
     robots: tuple[str, ...]
@@ -51,8 +55,13 @@ class Host(Node):
 
 
 class Options(Node):
-    """Options of SSH connections. Without files, ~/.ssh/config, ~/.ssh/known_hosts and the user's own keys or agent are
-    used. `timeout` in seconds."""
+    """Options of SSH connections.
+
+    ssh_config: configuration file; None: ~/.ssh/config.
+    known_hosts: file of trusted host keys; None: ~/.ssh/known_hosts.
+    identity: file of the user's private key; None: the user's usual keys, or the SSH agent.
+    timeout: seconds for connecting and for logging in, each.
+    """
 
     ssh_config: str | None = None
     known_hosts: str | None = None
@@ -61,11 +70,13 @@ class Options(Node):
 
 
 class HostError(Exception):
-    """One host refused a request, or cannot be reached.
+    """Failure of one host: it refused a request, or cannot be reached.
 
-    `code` is the tool's own error code, or one of: "unreachable", "unknown key", "changed key", "refused key",
-    "settings", "python", "folder", "refused", "link", "tool". `message` does not name the host; the text of the
-    exception does.
+    host: the host that failed.
+    code: error code of the tool, or "unreachable", "unknown key", "changed key", "refused key", "settings", "python",
+        "folder", "refused", "link" or "tool".
+    message: the failure without the host's name; the text of the exception names the host.
+    help: what the user can do.
     """
 
     def __init__(self, host: Host, code: str, message: str, help: str = "") -> None:
@@ -77,7 +88,7 @@ class HostError(Exception):
 
 
 class NoHosts(Exception):
-    """The fleet file names no host for some robots, or asyncssh is missing; `help` is the way out."""
+    """The fleet file names no host for some robots, or asyncssh is missing; `help` says what to do."""
 
     def __init__(self, message: str, help: str, is_file_wrong: bool = True) -> None:
         super().__init__(message)
@@ -86,14 +97,16 @@ class NoHosts(Exception):
 
 
 class Answer(dict[str, Any]):
-    """The tool's answer to one request, and the bytes that came with it."""
+    """Answer of the tool to one request: a JSON object, and the raw bytes that followed it."""
 
     data: bytes = b""
 
 
 def hosts_of(fleet: Fleet, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
-    """Return the hosts of the fleet (or of some robots only), in the order of the fleet file. Raises NoHosts when a
-    robot has none."""
+    """Return the hosts of the fleet's robots, or of `robots` only, in the order of the fleet file.
+
+    Raises NoHosts when the fleet file names no host for one of them.
+    """
     asked = [robot for robot in fleet.robots if robots is None or robot.name in robots]
     without = [robot.name for robot in asked if robot.login is None]
     if without:
@@ -108,22 +121,22 @@ def hosts_of(fleet: Fleet, robots: Sequence[str] | None = None) -> tuple[Host, .
 
 
 def owner() -> str:
-    """Return the name under which locks are taken: the user and this computer."""
+    """Return the name that this process's locks on hosts bear: user@computer."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a user without a name
+    except (KeyError, OSError):  # the user id has no name
         user = str(os.getuid())
     return f"{user}@{socket.gethostname()}"
 
 
 class Session:
-    """A conversation with one host's tool. Requests are asked one after the other, whoever calls."""
+    """SSH session with the tool on one host. Concurrent calls are sent one after another."""
 
     def __init__(
         self, host: Host, connection: asyncssh.SSHClientConnection, process: asyncssh.SSHClientProcess[bytes]
     ) -> None:
         self.host = host
-        self.sent = 0  # bytes of data that went to the host, the tool itself included
+        self.sent = 0  # bytes sent to the host, including an upload of the tool
         self._connection = connection
         self._process = process
         self._turn = asyncio.Lock()
@@ -131,7 +144,10 @@ class Session:
         self._cut: HostError | None = None
 
     async def call(self, verb: str, data: bytes = b"", **arguments: Any) -> Answer:
-        """Ask the tool, with raw data if there is any. Raises HostError when the tool refuses or the link is cut."""
+        """Send one request and return the tool's answer.
+
+        Raises HostError if it is refused or the connection fails.
+        """
         request: dict[str, Any] = {"verb": verb, **arguments}
         if data:
             request["length"] = len(data)
@@ -144,7 +160,7 @@ class Session:
         return answer
 
     async def exchange(self, sent: bytes, when: str) -> Answer:
-        """Send bytes, and read one answer. Raises HostError once the link is cut, and for ever after."""
+        """Send bytes and read one answer. Raises HostError when the connection fails, and in each later call."""
         if self._cut is not None:
             raise self._cut
         try:
@@ -156,13 +172,16 @@ class Session:
         except Exception as error:
             self._cut = await self._why_cut(when, error)
             raise self._cut from None
-        except BaseException:  # a request that was left half-way cannot be followed by another one
+        except BaseException:  # an interrupted exchange leaves unread bytes, so the session cannot be used any more
             self._cut = HostError(self.host, "link", f"it was interrupted {when}")
             raise
         return answer
 
     async def _read(self) -> Answer:
-        """Read one line that is an answer, and its data. Raises EOFError, OSError, ValueError, asyncssh.Error."""
+        """Read one answer and its data. Raises EOFError, OSError, ValueError, asyncssh.Error.
+
+        Lines before the answer that do not begin with `{` are output of the login shell, and are skipped.
+        """
         chatter = 0
         while True:
             line: bytes = await self._process.stdout.readline()
@@ -170,7 +189,7 @@ class Session:
                 raise EOFError
             if line.startswith(b"{"):
                 break
-            chatter += len(line)  # from the user's shell, such as a greeting in .bashrc
+            chatter += len(line)  # output of the login shell, such as a greeting in .bashrc
             if chatter > _CHATTER:
                 raise ValueError("its login shell prints too much")
         if len(line) > LONGEST_LINE:
@@ -192,7 +211,8 @@ class Session:
             return HostError(self.host, "tool", f"the answer {when} is not understood: {error}", _SHELL)
         if status is not None and status != 0:
             what = f"the tool on the host ended {when} with status {status}" + (f": {said}" if said else "")
-            return HostError(self.host, "tool", what, "run the command again; if it comes again, log in and look")
+            help = "run the command again; if it fails again, log in to the host and check its disk and memory"
+            return HostError(self.host, "tool", what, help)
         what = f"the link was cut {when}"
         return HostError(self.host, "link", what, "is the host on, and in reach? then run the command again")
 
@@ -204,7 +224,7 @@ class Session:
         return []
 
     async def keep_alive(self) -> None:
-        """Ask for nothing whenever there was no request for some time, until cancelled or the link is cut."""
+        """Send a `ping` after each PING seconds without a request, until cancelled or the connection fails."""
         loop = asyncio.get_running_loop()
         with suppress(HostError):
             while True:
@@ -215,7 +235,7 @@ class Session:
                     await asyncio.sleep(1.0)
 
     async def close(self) -> None:
-        """End the tool, and with it all locks that it holds, then the connection."""
+        """End the tool, which releases its locks, and close the connection."""
         with suppress(Exception):
             self._process.stdin.write_eof()
             async with asyncio.timeout(2.0):
@@ -230,17 +250,20 @@ _SHELL = "`ssh HOST true` must print nothing: remove what its .bashrc or .profil
 
 
 class Sessions(Node):
-    """Hosts that were reached, in the order of the fleet file, and why others were not."""
+    """Sessions with the hosts that were reached (in the fleet file's order), and failures of the others."""
 
     reached: tuple[Session, ...]
     failed: tuple[HostError, ...]
 
     async def call(self, verb: str, **arguments: Any) -> tuple[dict[Host, Answer], list[HostError]]:
-        """Ask all reached hosts the same, side by side; return answers by host, and the failures."""
+        """Send the same request to all reached hosts in parallel.
+
+        Return the answers by host, and the failures.
+        """
         return await self.each(lambda session: session.call(verb, **arguments))
 
     async def each(self, ask: Callable[[Session], Awaitable[Any]]) -> tuple[dict[Host, Any], list[HostError]]:
-        """Run `ask` for every reached host side by side; return results by host, and the failures."""
+        """Run `ask` for all reached hosts in parallel; return the results by host, and the failures."""
         results = await asyncio.gather(*map(ask, self.reached), return_exceptions=True)
         found: dict[Host, Any] = {}
         failed: list[HostError] = []
@@ -256,8 +279,11 @@ class Sessions(Node):
 
 @asynccontextmanager
 async def sessions(hosts: Iterable[Host], options: Options, tool: bytes) -> AsyncIterator[Sessions]:
-    """Connect to all hosts side by side, and run `tool`, the archive of the robot-side tool, on each. Hosts that
-    cannot be reached are listed in `failed`; the caller decides. Raises NoHosts when asyncssh is missing."""
+    """Connect to all hosts in parallel and start `tool`, the archive of the robot-side tool, on each.
+
+    Hosts that cannot be reached are listed in `failed`; the caller decides what to do about them. Raises NoHosts when
+    asyncssh is missing.
+    """
     require_asyncssh()
     hosts = tuple(hosts)
     async with AsyncExitStack() as stack:
@@ -281,7 +307,7 @@ async def _close_all(opened: Sequence[Session]) -> None:
 
 
 def require_asyncssh() -> None:
-    """Raises NoHosts when the package is missing."""
+    """Raise NoHosts when the package asyncssh is missing."""
     try:
         import asyncssh  # noqa: F401
     except ImportError as error:
@@ -317,8 +343,8 @@ async def _open(host: Host, options: Options, tool: bytes) -> Session:
     return session
 
 
-# Runs with any Python, old ones too, and says what is wrong with it. Then it takes the tool from standard input if it
-# is not there, and becomes the tool.
+# First program that runs on a host. Any Python version can run it, so it can report one that is too old. It stores the
+# tool, which it reads from standard input unless the host has it already, and then runs the tool in the same process.
 _BOOT = """
 import json, os, sys
 def say(**what):
@@ -364,7 +390,7 @@ try:
             refuse("tool", "the tool arrived damaged", "run the command again")
 except OSError as error:
     refuse("folder", "%s cannot be written: %s" % (error.filename or folder, error.strerror),
-           "make room there, make the disk writable, or name another `deploy: {folder: ...}`")
+           "free disk space there, make the disk writable, or name another `deploy: {folder: ...}`")
 say(ok=True)
 sys.argv = [os.path.abspath(place), "--folder", folder, "session"]
 sys.path.insert(0, place)
@@ -374,7 +400,7 @@ exec(zipimport.zipimporter(place).get_code("__main__"), {"__name__": "__main__"}
 
 
 def _command(host: Host, digest: str, size: int) -> str:
-    """Return the one command that a host's shell runs."""
+    """Return the shell command that starts the tool on a host."""
     python, folder = shlex.quote(host.python), shlex.quote(host.folder)
     script = f"umask 077; cd && exec {python} -IS -c {shlex.quote(_BOOT)} {folder} {digest} {size}"
     return f"sh -c {shlex.quote(script)}"
@@ -445,7 +471,7 @@ def _settings(host: Host, options: Options) -> dict[str, Any]:
 
 
 def _known_hosts(options: Options, configured: Any) -> list[str]:
-    """Return the files of trusted host keys that are there. No setting turns the check off."""
+    """Return the existing files of trusted host keys. No setting turns the check of host keys off."""
     if options.known_hosts is not None:
         return [options.known_hosts]
     files = [configured] if isinstance(configured, str) else list(configured or [])
@@ -460,7 +486,7 @@ def _target(host: Host) -> str:
 
 
 def _untrusted(host: Host, offered: Sequence[asyncssh.SSHKey], known: int, options: Options) -> HostError:
-    """Return what to say of a host key that is not in known_hosts, or is another one than there."""
+    """Return the error for a host key that is not in known_hosts, or differs from the key there."""
     port = f"-p {host.login.port} " if host.login.port else ""
     file = options.known_hosts or "~/.ssh/known_hosts"
     shown = f"{offered[0].get_fingerprint()} ({offered[0].get_algorithm()})" if offered else "of another kind"

@@ -10,8 +10,17 @@ from koordgen.operate.hosts import Answer, HostError, Sessions
 
 
 class Installed(Node):
-    """Answer of a robot's host. `release` is the build that would start, empty without one; `id` and `pending` are
-    names of releases, empty without one. `free` in bytes, `temperature` in degrees Celsius, `uptime` in seconds."""
+    """State of a robot and its host, as the host reports it.
+
+    release: build that would run if the agent were started; empty without one.
+    id: id of the confirmed release; empty without one.
+    pending: id of a release that is not confirmed yet; empty without one.
+    running: whether the robot's agent runs.
+    phase: phase of the agent; empty if unknown.
+    free: free bytes on the disk.
+    temperature: degrees Celsius; None if unknown.
+    uptime: seconds since the host's boot.
+    """
 
     release: str
     id: str
@@ -24,7 +33,7 @@ class Installed(Node):
 
     @property
     def note(self) -> str:
-        """Return the state in words."""
+        """Return the state as a text for messages."""
         agent = (
             f"its agent runs ({self.phase or 'phase unknown'}), but does not answer"
             if self.running
@@ -36,12 +45,12 @@ class Installed(Node):
         return "; ".join(said)
 
     def to_data(self) -> dict[str, Any]:
-        """Return plain values, as `status --format json` prints them."""
+        """Return the fields as a dictionary, as `status --format json` prints them."""
         return {name: getattr(self, name) for name in type(self).__match_args__}
 
 
 async def installed(sessions: Sessions) -> tuple[dict[str, Installed], dict[str, HostError]]:
-    """Ask all hosts; return the state of each robot, and why the hosts of others did not answer, by robot."""
+    """Ask all hosts; return, by robot, the states, and the failures of hosts that did not answer."""
     answers, failed = await sessions.call("inspect")
     found = {robot: of_robot(robot, answer) for host, answer in answers.items() for robot in host.robots}
     return found, {robot: error for error in (*sessions.failed, *failed) for robot in error.host.robots}

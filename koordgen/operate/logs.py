@@ -1,7 +1,8 @@
-"""Log lines of all robots of a fleet in one order.
+"""Log lines of all robots of a fleet, ordered by time.
 
-Hosts stamp lines with their own clocks. How far a host's clock is off is measured through its session: the tool reads
-the clock between the request and its answer, so the quickest of some requests knows it to half of its round trip.
+Hosts stamp lines with their own clocks. The offset of a host's clock is measured by requests in its session: the host
+reads its clock between request and answer, so the error of one measurement is at most half of its round trip. The
+request with the shortest round trip is used.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from typing import Any
 from koordgen.lang.node import Node
 from koordgen.operate.hosts import HostError, Session, Sessions
 
-ASKED = 5  # requests for a host's clock, of which the quickest counts
-EVERY = 0.3  # seconds from one question for new lines to the next
+ASKED = 5  # requests for a host's clock, of which the quickest is used
+EVERY = 0.3  # seconds between two requests for new lines
 
 
 class Line(Node):
@@ -29,14 +30,21 @@ class Line(Node):
 
 
 class Offset(Node):
-    """Offset of a host's clock: seconds ahead of this computer's, and the bound of the error in seconds."""
+    """Offset of a host's clock.
+
+    ahead: seconds by which it is ahead of this computer's clock.
+    error: bound of the error of `ahead`, in seconds.
+    """
 
     ahead: float
     error: float
 
 
 def offset_of(samples: Iterable[tuple[float, float, float]]) -> Offset:
-    """Return the offset by (sent, the host's clock, received): the sample with the shortest round trip is used."""
+    """Return the clock offset from samples (time of request, host's clock, time of answer), in seconds.
+
+    The sample with the shortest round trip is used.
+    """
     sent, clock, received = min(samples, key=lambda sample: sample[2] - sample[0])
     return Offset(clock - (sent + received) / 2, (received - sent) / 2)
 
@@ -52,12 +60,12 @@ async def clock_offset(session: Session, now: Callable[[], float] = time.time) -
 
 
 def merged(lines: Iterable[Sequence[Line]]) -> list[Line]:
-    """Return the lines of several robots by time; each robot's lines keep their order."""
+    """Return the lines of several robots, merged by time. Each robot's lines keep their order."""
     return list(heapq.merge(*map(_ascending, lines), key=lambda line: line.time))
 
 
 def _ascending(lines: Sequence[Line]) -> list[Line]:
-    """Return lines whose times never decrease: a clock that was set back does not tear a robot's lines apart."""
+    """Return the lines with times that never decrease, so that a clock set back does not reorder them."""
     found: list[Line] = []
     for line in lines:
         latest = found[-1].time if found else line.time
@@ -66,24 +74,30 @@ def _ascending(lines: Sequence[Line]) -> list[Line]:
 
 
 class Follower:
-    """Order of lines that arrive while they are written. A line is shown once all robots were asked after its time."""
+    """Ordering of log lines that arrive continuously.
+
+    A line is returned once all robots were asked after its time, because no earlier line can arrive then.
+    """
 
     def __init__(self) -> None:
         self._waiting: list[Line] = []
 
     def add(self, lines: Iterable[Line]) -> None:
-        """Take in lines, each robot's in their order."""
+        """Add lines that arrived; the lines of one robot must be in order."""
         self._waiting.extend(lines)
 
     def ready(self, asked: float) -> list[Line]:
-        """Return, in order, all lines until `asked`: the time at which the last questions to all robots began."""
+        """Return, in order, all lines up to `asked`, the time at which the last requests to all robots began."""
         ordered = merged(_by_robot([self._waiting]))
         self._waiting = [line for line in ordered if line.time > asked]
         return [line for line in ordered if line.time <= asked]
 
 
 class Reader:
-    """Lines of all robots of one host, stamped by this computer's clock. Make it with `reader_of`."""
+    """Reader of the log lines of one host's robots; gives them times of this computer's clock.
+
+    Make it with `reader_of`.
+    """
 
     def __init__(self, session: Session, offset: Offset) -> None:
         self.session = session
@@ -95,7 +109,7 @@ class Reader:
         return [line for robot in self.session.host.robots for line in await self._read(robot, lines=count)]
 
     async def new(self) -> list[Line]:
-        """Return the lines since those that were read last. Raises HostError."""
+        """Return the lines after those that were read last. Raises HostError."""
         return [line for robot, at in self._next.items() for line in await self._read(robot, since=at)]
 
     async def _read(self, robot: str, **which: Any) -> list[Line]:
@@ -105,15 +119,23 @@ class Reader:
 
 
 async def reader_of(session: Session) -> Reader:
-    """Measure the host's clock, and return a reader of its robots' lines. Raises HostError."""
+    """Measure the offset of a host's clock, and return a reader of its robots' log lines.
+
+    Raises HostError.
+    """
     return Reader(session, await clock_offset(session))
 
 
 async def show_lines(
     sessions: Sessions, count: int, follow: bool, show: Callable[[Line], None], lost: Callable[[HostError], None]
 ) -> None:
-    """Show the last `count` lines of each robot, and with `follow` those that come, until no host is left. `lost` is
-    called for each host whose lines are missing from then on."""
+    """Show the last `count` log lines of each robot.
+
+    With `follow`, also new lines as long as a host can be reached.
+
+    show: called for each line, in order.
+    lost: called when a host fails; its lines are missing from then on.
+    """
 
     async def ask(one: Callable[[Reader], Any]) -> list[list[Line]]:
         results = await asyncio.gather(*map(one, readers.values()), return_exceptions=True)

@@ -1,4 +1,7 @@
-"""Releases: everything that a fleet runs, named by its content, and the part of it that each host stores. Pure."""
+"""Releases: all files and settings that a fleet runs, named by a digest, and the part of each host.
+
+Pure functions, without network or files.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +17,8 @@ from koordgen.operate.hosts import Host
 
 REQUIREMENTS = "requirements.txt"
 ID_DIGITS = 16
-BATCH = 8_000_000  # bytes of contents that one request carries, unless one content alone is longer
-_MODE = 0o444  # of all files of a release: nothing there changes
+BATCH = 8_000_000  # largest sum of file sizes in one request, in bytes; a larger file has a request of its own
+_MODE = 0o444  # mode of all files of a release: read-only, because a release never changes
 
 Bundles = Mapping[str, Mapping[str, bytes]]  # robot -> path -> content
 FileMap = dict[str, dict[str, list[Any]]]  # robot -> path -> [SHA-256, mode]
@@ -32,14 +35,18 @@ class Fleetwide(Node):
 
 
 class HostPart(Node):
-    """Part of a release that one host stores. `document`: its release.json; bundles hold the contents of `files`."""
+    """Part of a release that one host stores.
+
+    document: content of the host's release.json.
+    files: files of the bundles of the host's robots.
+    """
 
     document: dict[str, Any]
     files: FileMap
 
 
 def key_id(key: bytes | None) -> str:
-    """Return the name of a key, which reveals nothing about the key; empty without a key."""
+    """Return the id of a key, a hash that does not reveal the key; empty without a key."""
     return "" if key is None else blake2s(key, person=b"koordgen", digest_size=8).hexdigest()
 
 
@@ -49,7 +56,7 @@ def digest_of(value: Any) -> str:
 
 
 def robots_entry(bundle: Mapping[str, bytes], host: Host, venv: str) -> dict[str, str]:
-    """Return what release.json says of one robot: all by which two releases may differ."""
+    """Return one robot's entry in release.json: digests and places that distinguish releases."""
     return {
         "bundle": sha256(bundle[SUMS]).hexdigest(),
         "packages": sha256(bundle[REQUIREMENTS]).hexdigest(),
@@ -59,7 +66,7 @@ def robots_entry(bundle: Mapping[str, bytes], host: Host, venv: str) -> dict[str
 
 
 def release_id(fleetwide: Fleetwide, robots: Mapping[str, Mapping[str, str]]) -> str:
-    """Return the name of a release: it is the same on all hosts, and differs when anything that they run differs."""
+    """Return the id of a release: a digest of everything that the fleet runs, equal on all hosts."""
     named = {
         "bundles": {name: robot["bundle"] for name, robot in robots.items()},
         "packages": {name: robot["packages"] for name, robot in robots.items()},
@@ -76,7 +83,11 @@ def release_id(fleetwide: Fleetwide, robots: Mapping[str, Mapping[str, str]]) ->
 def parts_of(
     fleetwide: Fleetwide, files: Mapping[Host, FileMap], robots: Mapping[str, Mapping[str, str]]
 ) -> tuple[str, dict[Host, HostPart]]:
-    """Return the id of a release, and each host's part. `robots` are the entries of all robots of the fleet."""
+    """Return the id of a release, and each host's part.
+
+    files: files of the bundles of each host's robots.
+    robots: entry in release.json of each robot of the fleet.
+    """
     name = release_id(fleetwide, robots)
     parts = {}
     for host, own in files.items():
@@ -97,19 +108,19 @@ def parts_of(
 
 
 def file_map(bundles: Bundles, robots: Iterable[str]) -> FileMap:
-    """Return the files of some robots' bundles by their digests."""
+    """Return the digest and the mode of each file in the bundles of `robots`."""
     return {
         robot: {path: [sha256(data).hexdigest(), _MODE] for path, data in bundles[robot].items()} for robot in robots
     }
 
 
 def objects_of(bundles: Bundles, robots: Iterable[str]) -> dict[str, bytes]:
-    """Return the different contents of some robots' bundles by their digests."""
+    """Return the distinct file contents in the bundles of `robots`, by digest."""
     return {sha256(data).hexdigest(): data for robot in robots for data in bundles[robot].values()}
 
 
 def batches(contents: Iterable[tuple[str, str, bytes]]) -> Iterator[tuple[list[list[Any]], bytes]]:
-    """Yield the `entries` and the compressed data of requests `store` for (name, SHA-256, content)."""
+    """Yield `entries` and compressed data of `store` requests that send (name, SHA-256, content)."""
     entries: list[list[Any]] = []
     joined: list[bytes] = []
     for name, digest, data in contents:

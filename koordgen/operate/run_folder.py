@@ -1,6 +1,6 @@
-"""Run folder of a flight: the merged trace of what robots wrote, beside each robot's own traces and the program.
+"""Run folder of a mission: the robots' own traces, one trace merged from them, and the program.
 
-`report`, `replay`, `export` and `audit` take such a folder as they take one of `koordgen sim`.
+The commands `report`, `replay`, `export` and `audit` accept it like a run folder of `koordgen sim`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,22 @@ ROBOTS, TRACE = "robots", "trace.jsonl"
 
 
 def flown(folder: Path) -> FleetMission:
-    """Return the mission that the robots' traces in a run folder are of: the last one that all of them had a part in.
-    Raises BadTrace."""
+    """Return the last mission in which all robots of a run folder took part, from their traces.
+
+    Raises BadTrace.
+    """
     return mission([read_trace_file(path) for path in trace_files(folder / ROBOTS)])
 
 
 def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> Program | None:
-    """Write the program with the hash `wanted` into a run folder's `source/`, and return it; None where none of the
-    `programs` has it. What stands there already is used if it fits. Each program: its files by name. Raises OSError."""
+    """Write the program with the hash `wanted` into a run folder's `source/`, and return it.
+
+    Raises OSError.
+
+    folder: the run folder. If its `source/` holds the wanted program already, nothing is written.
+    programs: candidates, each as its files by name.
+    Returns None if no candidate has the hash.
+    """
     source, made = folder / SOURCE, folder / f".{SOURCE}"
     if (program := _fitting(source, wanted)) is not None:
         return program
@@ -59,7 +67,7 @@ def _fitting(source: Path, wanted: str) -> Program | None:
         params = source / PARAMS
         given = dict(json.loads(params.read_bytes())) if params.is_file() else {}
         program = with_params(check_file(str(programs[0])).program, given)
-    except (Rejected, BadParam, ValueError):  # of another version of the language
+    except (Rejected, BadParam, ValueError):  # for example, a program for another version of the language
         return None
     functions = functions_file(program, source, None)
     its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
@@ -67,8 +75,11 @@ def _fitting(source: Path, wanted: str) -> Program | None:
 
 
 def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Fleet) -> None:
-    """Write the merged trace of a mission into its run folder; a trace that stands there is replaced when the new one
-    is complete. Raises BadTrace when the traces are not of this fleet, OSError."""
+    """Write the merged trace of a mission into its run folder.
+
+    An existing trace is replaced only after the new one is complete. Raises BadTrace if the traces are of another
+    fleet; OSError.
+    """
     from targets.sim.trace.collected import merge
 
     names = [robot.name for robot in fleet.robots]
@@ -83,8 +94,8 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
 
 
 def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
-    """Return one robot's files of the mission that record a round, in the order of their rounds."""
-    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.tells))
+    """Return one robot's trace files that record rounds of the mission, in the order of the rounds."""
+    return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.has_rounds))
 
 
 def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Start and stop of the agents on a fleet's hosts.
 
-Agents start only when all hosts of the named robots have the same confirmed release: a mixed fleet stays where it is.
-Stop is orderly: each agent gets SIGTERM and comes to rest in its own way (a quad lands, a car brakes).
+Agents start only if all hosts of the named robots have the same confirmed release; otherwise none starts. A stop is
+orderly: each agent gets SIGTERM and brings its robot to a safe stop (a quad lands, a car brakes).
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any
 from koordgen.lang.node import Node
 from koordgen.operate.hosts import Host, HostError, Sessions
 
-STOP_WITHIN = 30.0  # seconds in which an agent that was stopped must have ended
+STOP_WITHIN = 30.0  # seconds within which an agent must end after SIGTERM
 
 
 class Refused(Exception):
-    """Nothing was started: the message names the robots and the reason, `help` is the way out."""
+    """No agent was started. The message names the robots and the reason; `help` says what to do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -24,8 +24,13 @@ class Refused(Exception):
 
 
 class Done(Node):
-    """Robots that were started or stopped, those for which there was nothing to do, the release that hosts have
-    confirmed, and the hosts that failed."""
+    """Result of a start or stop.
+
+    robots: robots whose agents were started or stopped.
+    idle: robots whose agents ran already (start), or did not run (stop).
+    release: the confirmed release (start); empty for a stop.
+    failed: failures of hosts.
+    """
 
     robots: tuple[str, ...]
     idle: tuple[str, ...]
@@ -34,20 +39,22 @@ class Done(Node):
 
 
 async def start(sessions: Sessions) -> Done:
-    """Start the agents of all robots of the sessions' hosts. Raises Refused; HostError when a host does not answer
-    beforehand. Nothing is started then."""
+    """Start the agents of all robots of the sessions' hosts.
+
+    Raises Refused, or HostError if a host cannot be inspected; then no agent was started.
+    """
     inspected, failed = await sessions.call("inspect")
     for error in (*sessions.failed, *failed):
         raise error
     release = confirmed({host: answer["deployment"] for host, answer in inspected.items()})
     started, failed = await sessions.each(lambda session: session.call("start", robots=list(session.host.robots)))
     states = {robot: state for answer in started.values() for robot, state in answer["robots"].items()}
-    running = tuple(robot for robot, state in states.items() if state == "running")  # before
+    running = tuple(robot for robot, state in states.items() if state == "running")  # their agents ran already
     return Done(tuple(robot for robot in states if robot not in running), running, release, tuple(failed))
 
 
 async def stop(sessions: Sessions, seconds: float = STOP_WITHIN) -> Done:
-    """Stop the agents of all robots of the sessions' hosts that can be reached, and wait until they have ended."""
+    """Stop the agents on all hosts that can be reached, and wait up to `seconds` until they have ended."""
     stopped, failed = await sessions.each(
         lambda session: session.call("stop", robots=list(session.host.robots), seconds=seconds)
     )
@@ -57,7 +64,7 @@ async def stop(sessions: Sessions, seconds: float = STOP_WITHIN) -> Done:
 
 
 def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
-    """Return the release that all hosts have confirmed. Raises Refused, with the robots' names."""
+    """Return the release that all hosts have confirmed. Raises Refused if there is none."""
     deploy = "`koordgen deploy APP.koord --fleet FLEET` brings all robots to one release; nothing was started"
     pending = {host: each["pending"]["id"] for host, each in deployments.items() if each["pending"]}
     if pending:

@@ -1,7 +1,7 @@
-"""Status of a whole fleet: each robot's agent is asked over its control port, and one table shows the answers.
+"""Status of a whole fleet: asks each robot's agent over its control port, and shows one table.
 
-A robot that does not answer has a row of its own that says why; its host may be asked over SSH
-(koordgen/operate/installed.py), and the row shows that answer then. Nothing is changed on any robot.
+The row of a robot that does not answer gives the reason. If its host is asked over SSH (koordgen/operate/installed.py),
+the row shows the host's answer. Nothing is changed on any robot.
 """
 
 from __future__ import annotations
@@ -22,16 +22,22 @@ from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
 from koordgen.runtime.ops.status import Asking
 
-PATIENCE = 2.0  # seconds for all robots together
-_REPEAT = 0.05  # seconds between two questions to one robot
+PATIENCE = 2.0  # seconds to wait for the answers; all robots are asked in parallel
+_REPEAT = 0.05  # seconds between two requests to one robot
 _COLUMNS = (
     "robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "battery", "disk", "temp", "notes",
 )  # fmt: skip
 
 
 class Asked(Node):
-    """One robot's answer. `report` is None without one, and `note` says why, or what is odd about it; `after` in
-    seconds. `host` is what its computer says over SSH when it was asked."""
+    """Answer of one robot.
+
+    place: control port that was asked.
+    report: status report of the agent; None without an answer.
+    after: seconds until the answer.
+    note: reason why there is no answer, or what is wrong with the answer.
+    host: answer of the robot's host over SSH; None if the host was not asked.
+    """
 
     place: Place
     report: Mapping[str, Any] | None
@@ -41,7 +47,10 @@ class Asked(Node):
 
 
 def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list[Asked]:
-    """Ask all robots at once, for `patience` seconds at most; the answers stand in the order of the fleet file."""
+    """Ask all robots in parallel for at most `patience` seconds.
+
+    Return the answers in the order of the fleet file.
+    """
     answers = [Asked(place, None, patience, "no answer") for place in fleet.places]
     began = time.monotonic()
 
@@ -57,7 +66,10 @@ def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list
 
 
 def ask_one(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
-    """Ask one robot, until `patience` seconds after the monotonic time `began` at most."""
+    """Ask one robot repeatedly until it answers, or `patience` seconds have passed since `began`.
+
+    `began` is a monotonic time.
+    """
     if not place.port:
         return Asked(place, None, 0.0, "the fleet file has no address for it")
     try:
@@ -89,7 +101,10 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
 
 
 def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
-    """Return when there is something else to ask, or the answer; raises TimeoutError at `until`."""
+    """Receive until the next request can be sent or the answer is complete.
+
+    Raises TimeoutError at `until`.
+    """
     while (left := until - time.monotonic()) > 0:
         asker.settimeout(left)
         if asking.take(asker.recv(LONG + 1)):
@@ -97,7 +112,7 @@ def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
 
 
 def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed: Mapping[str, str]) -> list[Asked]:
-    """Return the answers with what hosts say of robots that gave none: by robot their state, or why there is none."""
+    """Return the answers; those of silent robots get their host's state (`found`) or failure (`failed`)."""
     return [
         replace(a, host=found[a.place.name], note=found[a.place.name].note)
         if a.place.name in found
@@ -109,16 +124,19 @@ def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed:
 
 
 def release_of(asked: Asked) -> str:
-    """Return the release that a robot runs, or that would start on it; empty when it is not known."""
+    """Return the release that a robot runs, or would run if it were started; empty if unknown."""
     if asked.report is not None:
         return str(asked.report.get("release", ""))
     return asked.host.release if asked.host is not None else ""
 
 
 def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
-    """Return robot -> release for those whose release is not the one that most robots have, running or installed; empty
-    when all are equal. A fleet of several releases cannot begin a mission."""
-    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}  # these differ with the key, too
+    """Return robot -> release for the robots whose release differs from that of most robots.
+
+    A release may be running or installed. The result is empty when all releases are equal. A fleet with several
+    releases cannot begin a mission.
+    """
+    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}  # release ids differ with the key, too
     builds = {a.place.name: release_of(a) for a in answers if a.report is not None or a.host is not None}
     return _odd(hosts) | _odd(builds)
 
@@ -146,7 +164,7 @@ def to_json(answers: Sequence[Asked]) -> str:
 
 
 def table(answers: Sequence[Asked]) -> str:
-    """Return one line a robot, and a last one for robots of another release than the others."""
+    """Return a table with a line for each robot, and a last line for robots with a different release."""
     rows = [_COLUMNS, *(_row(a) for a in answers)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
     lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -180,7 +198,10 @@ def _row(asked: Asked) -> tuple[str, ...]:
 
 
 def _silent_row(asked: Asked) -> tuple[str, ...]:
-    """Return the row of a robot whose agent gave no answer: what its host says, if it was asked."""
+    """Return the row of a robot whose agent gave no answer.
+
+    It shows its host's answer if the host was asked.
+    """
     note = f"{asked.note} ({asked.place.host}:{asked.place.port})"
     if (host := asked.host) is None:
         return (asked.place.name, *("-",) * (len(_COLUMNS) - 2), note)

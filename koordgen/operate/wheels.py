@@ -1,7 +1,8 @@
-"""Python packages of robots: wheels for each host's processor, C library and Python, fetched on this computer.
+"""Python packages of robots: wheels for each host's platform, fetched on this computer.
 
-Robots have no internet. `pip download` fetches what a bundle's requirements.txt asks for, and pip itself, into a cache
-of this computer: a set of wheels is there as a whole or not at all.
+A platform is a processor, a C library and a version of Python. Robots may have no access to the internet. `pip
+download` therefore fetches the packages of a bundle's requirements.txt, and pip itself, into a cache on this computer.
+The cache holds complete sets of wheels only.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from koordgen.lang.node import Node
 from koordgen.operate.release import digest_of
 from koordgen.runtime.ops.host import pip_install, requirement_for
 
-PIP = "pip"  # its wheel fills virtual environments: Debian's own Python has no ensurepip
+PIP = "pip"  # pip's wheel installs the packages on a host, because Debian's own Python has no ensurepip
 PATIENCE = 900.0  # seconds for one download
-_OLDEST_GLIBC = 17  # minor version of glibc 2 that manylinux2014 stands for
+_OLDEST_GLIBC = 17  # minor version of glibc 2 that manylinux2014 requires
 _PYTHONS = range(10, 15)  # minor versions of Python 3 on which agents run
 _WIDE = ("x86_64", "aarch64", "riscv64", "ppc64le", "s390x", "loongarch64", "amd64", "arm64")
 
 
 class CannotFetch(Exception):
-    """No set of wheels for a platform; `help` is the way out."""
+    """The wheels for a platform cannot be fetched; `help` says what to do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -36,8 +37,12 @@ class CannotFetch(Exception):
 
 
 class WheelPlatform(Node):
-    """Computer that wheels are for: `machine` as uname prints it, the minor version of glibc 2 (None: musl), and the
-    minor version of Python 3."""
+    """Platform for which wheels are fetched.
+
+    machine: processor, as `uname -m` prints it.
+    glibc: minor version of glibc 2; None: musl.
+    python: minor version of Python 3.
+    """
 
     machine: str
     glibc: int | None
@@ -45,13 +50,13 @@ class WheelPlatform(Node):
 
     @property
     def title(self) -> str:
-        """The platform for messages."""
+        """Description of the platform for messages."""
         libc = "musl" if self.glibc is None else f"glibc 2.{self.glibc}"
         return f"{self.machine}, {libc}, Python 3.{self.python}"
 
 
 class WheelSet(Node):
-    """All wheels for one platform. `venv` names the environment that is made of them."""
+    """All wheels for one platform. `venv` is the name of the virtual environment made from them."""
 
     venv: str
     requirements: str
@@ -60,7 +65,10 @@ class WheelSet(Node):
 
 
 def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
-    """Return the platform of a host from the tool's `inspect`. Raises CannotFetch for one that no agent runs on."""
+    """Return the platform of a host from its answer to `inspect`.
+
+    Raises CannotFetch if agents cannot run on it.
+    """
     machine, (libc, version) = str(inspected["machine"]), inspected["libc"]
     major, minor = inspected["python"][:2]
     if machine not in _WIDE:
@@ -74,8 +82,10 @@ def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
 
 
 def wheel_set(requirements: str, platform: WheelPlatform, folder: Path | None) -> WheelSet:
-    """Return the wheels for a requirements.txt: from `folder`, or (None) from the cache or the package index.
-    Raises CannotFetch."""
+    """Return the wheels for the text of a requirements.txt. Raises CannotFetch.
+
+    folder: folder of wheels to use; None: use the package index. Wheels that are in the cache are not fetched again.
+    """
     lines = needed_lines(requirements, platform)
     if folder is not None and not folder.is_dir():
         raise CannotFetch(f"deploy.wheels: {folder}: no such folder", "it is relative to the fleet file's folder")
@@ -90,8 +100,11 @@ def wheel_set(requirements: str, platform: WheelPlatform, folder: Path | None) -
 
 
 def needed_lines(requirements: str, platform: WheelPlatform) -> list[str]:
-    """Return the lines of a requirements.txt that apply to a platform, without their markers: pip would judge these by
-    this computer's Python. Raises CannotFetch for a line that is not understood."""
+    """Return the lines of a requirements.txt that apply to a platform, without their environment markers.
+
+    `pip download` would evaluate the markers for this computer's Python instead of the host's. Raises CannotFetch for a
+    line in another format.
+    """
     found: dict[str, None] = {}
     for line in filter(None, (each.partition("#")[0].strip() for each in requirements.splitlines())):
         try:
@@ -102,7 +115,7 @@ def needed_lines(requirements: str, platform: WheelPlatform) -> list[str]:
 
 
 def platform_tags(platform: WheelPlatform) -> list[str]:
-    """Return the platform tags of wheels that run there, best first."""
+    """Return the platform tags of wheels that run on a platform, best first."""
     machine = platform.machine
     if platform.glibc is None:
         return [f"musllinux_1_2_{machine}", f"musllinux_1_1_{machine}"]
@@ -129,7 +142,7 @@ def _cache() -> Path:
 
 
 def _download(lines: list[str], platform: WheelPlatform, folder: Path | None, kept: Path) -> None:
-    """Let pip put the wheels into `kept`, all or none."""
+    """Run `pip download` into a temporary folder, and rename it to `kept` when all wheels are there."""
     where = ["--no-index", "--find-links", str(folder)] if folder is not None else []
     command = [
         sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:",
@@ -146,8 +159,9 @@ def _download(lines: list[str], platform: WheelPlatform, folder: Path | None, ke
                 raise _refused(result.stderr, platform, folder)
             os.rename(f"{beside}/wheels", kept)
     except OSError as error:
-        if not kept.is_dir():  # else another deployment was faster
-            raise CannotFetch(f"{error.filename or kept}: {error.strerror}", "make room on this computer") from None
+        if not kept.is_dir():  # otherwise another process fetched the same wheels at the same time
+            help = "free disk space on this computer"
+            raise CannotFetch(f"{error.filename or kept}: {error.strerror}", help) from None
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
@@ -159,7 +173,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
 
 
 def _refused(said: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
-    """Return what to say after pip failed."""
+    """Return the error for the output `said` of a pip that failed."""
     if "No module named pip" in said:
         return CannotFetch("this computer's Python has no pip, which fetches wheels", pip_install("pip"))
     missing = re.search(r"No matching distribution found for (\S+)", said)

@@ -149,7 +149,7 @@ def test_what_people_read(
     assert main(["estop", str(fleet)]) == 5
     told = capsys.readouterr()
     lines = told.out.splitlines()
-    assert lines[0].startswith("alice  is coming to rest: it lands or brakes, answered after ")
+    assert lines[0].startswith("alice  is stopping: it lands or brakes, answered after ")
     assert lines[2].startswith("cleo   NO ANSWER: no agent runs there (127.0.0.1:")
     assert told.err == (
         "error: 1 of 3 robots did not answer\n"

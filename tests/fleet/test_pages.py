@@ -58,7 +58,7 @@ def test_every_key_of_safety_is_documented_with_its_default() -> None:
     [
         "rounds in a row",
         "not count",
-        "coming back to the mission",
+        "rejoining the mission",
         "removed from the fleet, asks to rejoin",
         "restarted without state during the mission and cannot rejoin",
     ],

@@ -118,7 +118,7 @@ def test_the_page_shows_every_robot_and_stops_them_when_the_button_is_held(tmp_p
             press(browser, release=False)
             answers = browser.wait(STOPPED, bool)
             assert [robot.stopped for robot in fleet.robots] == [True, True, False]
-            assert "STOP IT BY HAND" in answers[0] and "robot00 is coming to rest" in answers[1]
+            assert "STOP IT BY HAND" in answers[0] and "robot00 is stopping" in answers[1]
             assert "1 of 3 robots did NOT answer" in browser.text("stopped")
             browser.wait("fleet.robots.map((robot) => robot.phase)", lambda found: found[:2] == ["resting"] * 2)
         browser.wait("$('summary').innerText", lambda text: "no connection to the dashboard" in text)
@@ -362,7 +362,7 @@ def test_a_simulated_fleet_is_seen_and_stopped(tmp_path: Path) -> None:
             assert browser.value("fleet.robots.every((robot) => robot.release && !robot.odd)")
             press(browser, release=False)
             answers = browser.wait(STOPPED, bool)
-            assert len(answers) == 5 and all("is coming to rest" in answer for answer in answers)
+            assert len(answers) == 5 and all("is stopping" in answer for answer in answers)
             browser.wait(
                 "model.robots.flatMap((robot) => robot.logs.map((row) => row[3]))",
                 lambda lines: "emergency stop" in lines,

@@ -223,12 +223,12 @@ def test_a_link_that_is_cut_before_phase_two_reverts_all(
         assert standing.deploy() == 5
     told = capfd.readouterr().err
     assert "error: bert (" in told and "link was cut during `prepare`" in told
-    assert "every robot keeps its release; the hosts of bert could not be told" in told
+    assert "every robot keeps its release; the hosts of bert could not be reached" in told
     assert standing.confirmed() == before
     for name in ("a", "c"):
         found = state(standing.ssh.hosts[name])
         assert found is not None and found["pending"] is None
-    assert standing.deploy() == 0  # the host that could not be told is no obstacle
+    assert standing.deploy() == 0  # the host that could not be reached is no obstacle
     assert len(standing.confirmed()) == 1 and standing.confirmed() != before
 
 

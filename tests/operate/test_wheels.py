@@ -45,7 +45,7 @@ def test_lines_are_chosen_for_the_host() -> None:
     )
     assert needed_lines(text, PI) == ["a==1.0", "b==3.0"]
     assert needed_lines(text, WheelPlatform("x86_64", 31, 10)) == ["a==1.0", "b==2.0", "c==1"]
-    with pytest.raises(CannotFetch, match="not understood"):
+    with pytest.raises(CannotFetch, match="cannot be parsed"):
         needed_lines("git+https://example.com/a\n", PI)
 
 

@@ -11,14 +11,13 @@ from koordgen.cli.base.building import params
 from koordgen.cli.base.console import USAGE, WRONG, Failure
 from koordgen.lang.ir.decl import Program
 
-SOURCE, PARAMS = "source", "params.json"  # names in the run's folder, as in bundle/plan.py
+SOURCE, PARAMS = "source", "params.json"  # paths in a run's folder; koordgen/build/bundle/plan.py writes them
 
 
 def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Program, Path | None]:
-    """Return the program of the trace at `trace`, and its functions file or None. Raises Rejected, Failure.
+    """Return the program of the trace at `trace`, and its file of extern functions or None.
 
-    `program_hash`: that of the trace; "" for a trace that is a counterexample.
-    """
+    `program_hash`: the hash in the trace; "" for a trace that is a counterexample. Raises Rejected, Failure."""
     from koordgen.build.bundle.functions import functions_file
     from koordgen.build.emit.program import program_hash as hashed
     from koordgen.build.pipeline import check_file, fleet_params

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 
-MOST_ROBOTS = 128  # in a fleet; equal to that of koordgen/runtime/net/wire.py (a test compares them)
-MOST_PROVED = 1000  # robots, for `prove --robots`
-LONGEST = 86400.0  # seconds
+MOST_ROBOTS = 128  # largest number of robots in a fleet, as in koordgen/runtime/net/wire.py (a test compares both)
+MOST_PROVED = 1000  # largest number of robots for `prove --robots`
+LONGEST = 86400.0  # largest time of options, in seconds
 
 
 def program(text: str) -> str:

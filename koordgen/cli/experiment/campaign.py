@@ -176,7 +176,7 @@ def _scenarios(runs: Sequence[plan.PlannedRun], bundle: Mapping[str, bytes]) -> 
 
 
 def _representative_runs(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]) -> list[plan.PlannedRun]:
-    """Return the runs in which each value of a list occurs once, and the last run."""
+    """Return the runs in which a value of a varied list occurs for the first time, and the last run."""
     seen: set[tuple[str, str]] = set()
     found = []
     for run in runs[: len(cells)]:

@@ -1,6 +1,6 @@
 """Commands that operate a fleet: deploy, start, stop, logs, collect, status, dashboard.
 
-Owns: connections by options, what is asked, what is printed, and the exit status of each.
-Offers: one module for each command.
+Owns: options of connections, output and exit status of these commands. The work itself is done by `koordgen.operate`.
+Offers: a function for each command.
 Must not import: `cli.verify`, `cli.experiment`.
 """

@@ -1,4 +1,4 @@
-"""`koordgen collect`: a flight's traces and logs as one run folder."""
+"""`koordgen collect`: fetches the traces and logs of all robots into one run folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from koordgen.runtime.trace.schema import BadTrace
 
 
 def collect(options: Namespace) -> int:
-    """Collect, then merge the traces; the exit status says whether all robots' files are there."""
+    """Fetch the robots' files, then merge their traces.
+
+    Returns exit status 0 if all files were fetched and the traces merged; raises Failure otherwise.
+    """
     fleet, folder = read_fleet(options.fleet), Path(options.out)
     try:
         with Folder(folder) as into:
@@ -67,7 +70,7 @@ def _show(fleet: Fleet, found: Collection) -> None:
 
 
 def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
-    """Write the program and the merged trace; return whether that was possible, else say why not."""
+    """Write the program and the merged trace. If that is impossible, print the reason and return False."""
     sys.path.insert(0, str(resources.targets().parent))
     apart = f"`koordgen audit {folder / ROBOTS} --program APP.koord` reads the robots' own traces"
     try:
@@ -75,7 +78,8 @@ def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
         program = write_source(folder, found.programs, whole.log.program_hash)
         if program is None:
             console.notify(
-                f"warning: no release on the robots is of the program that flew, whose hash is {whole.log.program_hash}"
+                "warning: the traces are not merged: no release on the robots has the program that wrote them, whose "
+                f"hash is {whole.log.program_hash}"
                 f"\n  help: {apart}"
             )
             return False

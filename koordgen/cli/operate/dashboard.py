@@ -1,4 +1,4 @@
-"""`koordgen dashboard`: the page that shows a fleet at work."""
+"""`koordgen dashboard`: serves a web page that shows the state of a fleet."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def dashboard(options: Namespace) -> int:
 
 
 def _stream(header: Header, port: int) -> FoxgloveServer:
-    """Return a server for Foxglove at a port of this computer; 0: any that is free."""
+    """Return a server for the viewer Foxglove at a port of this computer (0: any free port)."""
     from targets.sim.view.foxglove.stream import FoxgloveServer
 
     try:
@@ -83,7 +83,10 @@ def _stream(header: Header, port: int) -> FoxgloveServer:
 
 
 def _facts(fleet: Fleet, path: str) -> Facts:
-    """Return what the map shows besides robots. A fleet file that is not right in all parts still has its robots."""
+    """Return the facts of a fleet file that the map shows: geofence, obstacles, world, targets.
+
+    If the file has errors, a warning is printed, and the map shows only the robots.
+    """
     from koordgen.build.pipeline import Rejected, read_fleet
     from koordgen.operate.basestation import all_targets
 
@@ -103,7 +106,7 @@ def _facts(fleet: Fleet, path: str) -> Facts:
 
 
 def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
-    """Return what stops the fleet, and says so on this terminal."""
+    """Return a function that stops the fleet and prints the result on this terminal."""
 
     def stop() -> list[dict[str, Any]]:
         results = stop_all(fleet.places, fleet.application, key, PATIENCE)
@@ -115,7 +118,7 @@ def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]
 
 
 def _open(url: str) -> None:
-    """Show the page in a browser with windows, if there is one: one in the terminal would hide this command."""
+    """Show the page in a browser, if a graphical desktop runs: a text browser would use this terminal."""
     if sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         import webbrowser
 

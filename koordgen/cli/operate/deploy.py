@@ -1,4 +1,4 @@
-"""`koordgen deploy`, `rollback` and `key`: releases and keys that the whole fleet takes, or none of it."""
+"""`koordgen deploy`, `rollback` and `key`: change a release or key on all robots or on none."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from koordgen.fleet.file import Fleet
     from koordgen.operate.deploy import Deployed, Failed, Say
 
-BEFORE, NEXT = ".before", ".next"  # added to a key's file name: the key before the last rotation, the one of the next
+# Endings added to the name of the key file: the key before the last rotation, and the key of a rotation under way.
+BEFORE, NEXT = ".before", ".next"
 
 
 def deploy(options: Namespace) -> int:
@@ -40,7 +41,7 @@ def deploy(options: Namespace) -> int:
 
 
 def rollback(options: Namespace) -> int:
-    """Return to a release that the robots still have. Raises Failure."""
+    """Roll the fleet back to a release that its hosts still have. Raises Failure."""
     from koordgen.operate import deploy as deployment
 
     options.collected = []
@@ -66,8 +67,11 @@ def _new_key(options: Namespace) -> int:
 
 
 def _rotate(options: Namespace) -> int:
-    """The old key stays in its file until all robots have the new one, which waits in FILE.next; then the new one takes
-    its place by a rename, and the old one stays as FILE.before."""
+    """Give all robots a new key. Raises Failure.
+
+    The new key is stored in FILE.next. When all robots have it, the old key is copied to FILE.before, and FILE.next is
+    renamed to FILE.
+    """
     from koordgen.operate import deploy as deployment
 
     options.collected = []
@@ -81,7 +85,7 @@ def _rotate(options: Namespace) -> int:
     old = _key_file(fleet, options)
     before, waiting = _with(old, BEFORE), _with(old, NEXT)
     _key_bytes(fleet, options)
-    with suppress(FileExistsError):  # of a rotation that did not end: the robots may have it already
+    with suppress(FileExistsError):  # use the key of an interrupted rotation again: some robots may have it already
         _write_key(waiting, secrets.token_bytes(32))
     new = _read_key(waiting)
 
@@ -105,7 +109,7 @@ def _rotate(options: Namespace) -> int:
 
 
 def _take_place(old: Path, before: Path, waiting: Path) -> None:
-    """Make the waiting key the fleet's, and keep the old one. Raises Failure."""
+    """Copy the old key to `before`, and rename `waiting` to `old`. Raises Failure."""
     try:
         before.unlink(missing_ok=True)
         _write_key(before, old.read_bytes())
@@ -120,7 +124,7 @@ def _with(path: Path, ending: str) -> Path:
 
 
 def _write_key(path: Path, content: bytes) -> None:
-    """Raises FileExistsError, Failure."""
+    """Write a new key file that only its owner may read. Raises FileExistsError, Failure."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         try:
@@ -129,7 +133,7 @@ def _write_key(path: Path, content: bytes) -> None:
                 file.flush()
                 os.fsync(descriptor)
         except BaseException:
-            os.unlink(path)  # half a key would stand in the way of a whole one
+            os.unlink(path)  # an incomplete key file would prevent the next attempt, which never overwrites a file
             raise
     except FileExistsError:
         raise
@@ -138,7 +142,7 @@ def _write_key(path: Path, content: bytes) -> None:
 
 
 def _key_file(fleet: Fleet, options: Namespace) -> Path:
-    """Return the file of the fleet's key: --key, else beside the fleet file, else in the working directory."""
+    """Return the key file: --key, else beside the fleet file, else in the working directory."""
     if options.key:
         return Path(options.key)
     beside = Path(options.fleet).parent / fleet.key
@@ -160,7 +164,7 @@ def _read_key(path: Path) -> bytes:
 
 
 def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
-    """Run a deployment, show its progress on a terminal, and report what became of it. Raises Failure."""
+    """Run a deployment, show its progress on a terminal, and print its result; return the exit status."""
     from koordgen.operate.deploy import Failed
 
     try:

@@ -1,4 +1,4 @@
-"""`koordgen start`, `stop`, `logs` and `doctor --fleet`: commands that work on robots over SSH, all side by side."""
+"""`koordgen start`, `stop`, `logs` and `doctor --fleet`: work on all hosts in parallel, over SSH."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ Result = TypeVar("Result")
 
 
 def start(options: Namespace) -> int:
-    """Start the agents of a fleet, all or none of it where hosts differ."""
+    """Start the agents of a fleet.
+
+    If hosts have different releases, none is started, and Failure is raised.
+    """
     fleet = read_fleet(options.fleet)
     try:
         done = on_hosts(options, fleet, _chosen(fleet, options.robots), start_agents)
@@ -42,7 +45,7 @@ def start(options: Namespace) -> int:
 
 
 def stop(options: Namespace) -> int:
-    """Stop the agents of a fleet in their orderly way."""
+    """Stop the agents of a fleet; each brings its robot to a safe stop first."""
     fleet = read_fleet(options.fleet)
     robots = _chosen(fleet, options.robots)
     done = on_hosts(options, fleet, robots, lambda opened: stop_agents(opened, options.seconds))
@@ -54,7 +57,7 @@ def stop(options: Namespace) -> int:
 
 
 def logs(options: Namespace) -> int:
-    """Show the log lines of a fleet in the order of time."""
+    """Show the log lines of all robots of a fleet, ordered by time."""
     fleet = read_fleet(options.fleet)
     lost: list[HostError] = []
     index = {robot.name: robot.pid for robot in fleet.robots}
@@ -78,7 +81,7 @@ def logs(options: Namespace) -> int:
 
 
 def doctor(options: Namespace) -> int:
-    """Let every robot's doctor look; the exit status is that of the worst."""
+    """Run `doctor` on every robot and print the findings; return the greatest exit status."""
     fleet = read_fleet(options.fleet)
     order = {robot.name: robot.pid for robot in fleet.robots}
     examined = sorted(on_hosts(options, fleet, None, examine), key=lambda each: order[each.robot])
@@ -100,7 +103,7 @@ def on_hosts(
 
 
 def _chosen(fleet: Fleet, robots: Sequence[str]) -> Sequence[str] | None:
-    """Return the robots that the command names, None for all. Raises Failure for a name that is no robot's."""
+    """Return the robots that the command names, None for all. Raises Failure for an unknown name."""
     known = [robot.name for robot in fleet.robots]
     if strange := [name for name in robots if name not in known]:
         near = nearest(strange[0], known)
@@ -124,5 +127,5 @@ def _join(*parts: str) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return a robot's text without the control characters with which it could write over the terminal."""
+    """Return a log text without control characters, which could change the terminal's display."""
     return "".join(c if c.isprintable() else " " if c == "\t" else "\N{REPLACEMENT CHARACTER}" for c in text)

@@ -1,4 +1,4 @@
-"""Common part of commands that reach robots by SSH: the fleet's hosts, connections, and failures."""
+"""Common functions of commands that use SSH: the fleet's hosts, connection options, and failures."""
 
 from __future__ import annotations
 
@@ -25,8 +25,10 @@ def read_fleet(path: str) -> Fleet:
 
 
 def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
-    """Return the hosts of a fleet file's robots (or of some only). Raises Failure when a robot has none, or asyncssh is
-    missing."""
+    """Return the hosts of a fleet's robots, or of `robots` only.
+
+    Raises Failure if the fleet file names no host for a robot, or asyncssh is missing.
+    """
     from koordgen.operate.hosts import NoHosts, hosts_of, require_asyncssh
 
     try:
@@ -39,7 +41,7 @@ def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) ->
 
 
 def connection(options: Namespace) -> Options:
-    """Return how to connect, from the options of the group ssh. Raises Failure when a file is missing."""
+    """Return the connection options from the command line. Raises Failure if a named file is missing."""
     from koordgen.operate.hosts import Options
 
     for path in (options.ssh_config, options.known_hosts, options.identity):
@@ -51,10 +53,10 @@ def connection(options: Namespace) -> Options:
 
 
 def describe(errors: Iterable[HostError]) -> str:
-    """Return one line for each error, with its way out below it."""
+    """Return one line for each error, followed by a line with its help."""
     return "\n".join(f"{error}" + (f"\n  help: {error.help}" if error.help else "") for error in errors)
 
 
 def status_of(errors: Iterable[HostError]) -> int:
-    """Return the exit status: SURROUNDINGS when a host was not reached, else WRONG."""
+    """Return the exit status for errors: SURROUNDINGS if a host was not reached, else WRONG."""
     return console.SURROUNDINGS if any(error.code in UNREACHABLE for error in errors) else console.WRONG

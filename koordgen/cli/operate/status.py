@@ -1,4 +1,4 @@
-"""`koordgen status`: the table of a fleet's robots, once or again and again."""
+"""`koordgen status`: shows a table of a fleet's robots, once or periodically."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from koordgen.operate.status import Asked, ask_all, odd_releases, table, to_json
 if TYPE_CHECKING:
     from koordgen.operate.hosts import Host
 
-_EVERY = 1.0  # seconds from one table to the next
+_EVERY = 1.0  # seconds between two tables of `--watch`
 
 
 def status(options: Namespace) -> int:
-    """Ask the fleet and print the answers; the status says whether all robots answered and are of one release."""
+    """Ask all robots and print their answers; return the exit status.
+
+    It is 0 if all robots answered and have the same release; otherwise Failure is raised.
+    """
     try:
         fleet = find_fleet(Path(options.fleet), console.notify)
         key = find_key(fleet, options.fleet, options.key, console.notify)
@@ -39,7 +42,7 @@ def status(options: Namespace) -> int:
 
 
 def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
-    """Return the answers with what the hosts of silent robots say over SSH, where the fleet file names hosts."""
+    """Return the answers, completed by the hosts of silent robots over SSH if the fleet file names hosts."""
     silent = [each.place.name for each in answers if each.report is None]
     hosts = _hosts_of(options, silent) if silent else ()
     if not hosts:
@@ -64,8 +67,10 @@ def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
 
 
 def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
-    """Return the hosts of robots as far as the fleet file names any. A file that only its addresses can be read of, or
-    a folder of bundles, names none."""
+    """Return the hosts that the fleet file names for `robots`.
+
+    There are none if the file has errors, or `options.fleet` is a folder of bundles.
+    """
     from koordgen.build.pipeline import Rejected
     from koordgen.cli.operate.ssh import read_fleet
     from koordgen.operate.hosts import hosts_of
@@ -95,7 +100,7 @@ def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
 
 
 def _silent_status(answers: Sequence[Asked]) -> int:
-    """A robot that gave no answer weighs more than one with another release, as far as nothing is known of it."""
+    """Return SURROUNDINGS if neither a robot nor its host answered, else WRONG (different releases)."""
     return console.SURROUNDINGS if any(each.report is None and each.host is None for each in answers) else console.WRONG
 
 

@@ -22,14 +22,16 @@ Build = Callable[[Mapping[str, str], Path], None]
 
 
 class DiskFull(Exception):
-    """The disk is full; finished runs are stored."""
+    """Raised if the disk is full. All finished runs are stored."""
 
 
 class Bundles:
     """Bundles of a campaign: one for each combination of varied params.
 
-    A bundle is built when its first run begins, and removed after its last. `build` writes a bundle with these params
-    into a folder; `name` is the bundle's own folder in it."""
+    A bundle is built when the first run that uses it begins, and removed after the last such run.
+
+    `build`: writes a bundle with the given params into a folder.
+    `name`: the name of the bundle's own folder inside that folder."""
 
     def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[PlannedRun]) -> None:
         self._folder, self._name, self._build = folder, name, build
@@ -37,7 +39,7 @@ class Bundles:
         self._made: dict[tuple[tuple[str, str], ...], Path] = {}
 
     def of(self, run: PlannedRun) -> Path:
-        """Return the bundle of a run. Raises what `build` raises."""
+        """Return the bundle of a run; build it if necessary. Raises what `build` raises."""
         key = _key(run.params)
         if key not in self._made:
             own = self._folder / str(len(self._made))
@@ -68,8 +70,8 @@ def execute_runs(
 ) -> None:
     """Execute the runs that are not finished.
 
-    Raises DiskFull and ClusterUnreachable, and KeyboardInterrupt if `interrupted` says so. Whatever it raises, the
-    executor is stopped and finished runs are stored."""
+    Raises DiskFull, ClusterUnreachable, and KeyboardInterrupt if `interrupted` returns True. Before any exception
+    leaves this function, the executor is stopped and the finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
     progress = CampaignProgress(len(runs), kept)
     under_way: dict[Future[RunResult], PlannedRun] = {}
@@ -104,7 +106,7 @@ def _store_result(kept: CampaignStore, run: PlannedRun, future: Future[RunResult
         if error.errno in FULL:
             raise
         result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
-    except Exception as error:  # a worker died, or a result could not be sent
+    except Exception as error:  # a worker ended, or a result could not be sent
         result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
     if result.outcome == "failed" and kept.full():
         raise DiskFull
@@ -112,7 +114,9 @@ def _store_result(kept: CampaignStore, run: PlannedRun, future: Future[RunResult
 
 
 class CampaignProgress:
-    """Progress text: finished runs, and the remaining time, estimated from the runs of this session."""
+    """Progress text: the number of finished runs, and the remaining time.
+
+    The remaining time is estimated from the runs that finished since this command started."""
 
     def __init__(self, total: int, kept: CampaignStore) -> None:
         self._total, self._kept = total, kept
@@ -141,7 +145,7 @@ def _clock(seconds: float) -> str:
 def write_table(kept: CampaignStore, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
     """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs.
 
-    Return the text. Raises OSError."""
+    Return the content of `campaign.txt`. Raises OSError."""
     results = [kept.results[number] for number in sorted(kept.results)]
     found = table.document(app, planned, results, cells)
     text = table.as_text(found)

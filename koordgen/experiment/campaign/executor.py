@@ -15,11 +15,11 @@ from typing import Any, Protocol
 from koordgen.experiment.campaign.store import RunResult, cleared
 from koordgen.experiment.campaign.task import Job, execute
 
-REACHED_WITHIN = 10  # seconds until a cluster must answer
+REACHED_WITHIN = 10  # seconds within which a cluster must answer
 
 
 class ClusterUnreachable(Exception):
-    """There is no such cluster, or its connection is lost; `help` names a remedy."""
+    """Raised if no cluster answers, or the connection to it is lost. `help` names a remedy."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -29,7 +29,8 @@ class ClusterUnreachable(Exception):
 class Executor(Protocol):
     """Executor of jobs.
 
-    `width`: number of jobs to submit at a time; `stop` ends running jobs as far as possible."""
+    `width`: number of jobs that may be submitted at the same time.
+    `stop`: ends running jobs as far as possible."""
 
     @property
     def width(self) -> int: ...
@@ -64,10 +65,10 @@ class LocalPool:
 
 
 class DaskCluster:
-    """Dask cluster.
+    """Dask cluster as an executor of runs.
 
-    Its workers need this koordgen and the packages of its simulator. Bundles and run folders are sent over the
-    cluster's own connections, so no shared disk is needed."""
+    Its workers must have the same version of koordgen, and the packages of its simulator. Bundles and run folders are
+    sent over the cluster's own connections, so no shared disk is needed."""
 
     def __init__(self, address: str) -> None:
         try:
@@ -89,7 +90,7 @@ class DaskCluster:
 
     @property
     def width(self) -> int:
-        """Return twice the number of jobs that workers can execute, so that none waits for a job."""
+        """Return twice the number of jobs that the workers can execute, so that no worker waits for a job."""
         threads: dict[str, int] = self._client.nthreads()
         return 2 * max(1, sum(threads.values()))
 
@@ -107,14 +108,15 @@ class DaskCluster:
                 result, files = finished.result()
                 unpacked(files, cleared(folder))
                 done.set_result(result)
-            except BaseException as error:  # of the worker, the connection or this disk; the caller of result() gets it
+            # An exception of the worker, the connection or this disk. The future passes it to the caller of result().
+            except BaseException as error:
                 done.set_exception(error)
 
         task.add_done_callback(arrived)
         return done
 
     def stop(self) -> None:
-        """Cancel waiting jobs. Running ones continue on their workers, and their results are dropped."""
+        """Cancel waiting jobs. Running jobs continue on their workers, but their results are dropped."""
         with suppress(Exception):
             self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -142,7 +144,7 @@ def _never() -> bool:
 
 
 def packed(folder: Path) -> bytes:
-    """Return a folder's files as a zip archive, by their path in it."""
+    """Return a folder's files as a zip archive. Each file keeps its path relative to the folder."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")) if folder.exists() else ():

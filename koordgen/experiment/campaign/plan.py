@@ -1,4 +1,4 @@
-"""Plan of a campaign: every run with its parameters, decided before the first run begins."""
+"""Plan of a campaign: all runs with their parameters. It is complete before the first run begins."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run.
+    """One run of a plan.
 
-    `varied`: the varied values, by name. Of these, `params` of the program go into its bundle, `settings` of the
-    harness into a file, and `flags` on its command line."""
+    `varied`: name -> value of everything that is varied.
+    `params`: the varied params of the program, which are built into the run's bundle.
+    `settings`: the varied settings of the simulation harness, which are written to a file.
+    `flags`: the varied options of the run's command line."""
 
     number: int
     varied: Mapping[str, str]
@@ -33,10 +35,12 @@ class PlannedRun:
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """Identity of a campaign.
+    """Identity of a campaign. A campaign can be resumed only with an equal plan.
 
-    `bundle`: digest of the bundle built without varied params; `verdict`: digest of the script that judges runs, ""
-    without one; `fixed`: flags of every run; `what`: the purpose of the runs."""
+    `bundle`: digest of the bundle that is built without varied params.
+    `verdict`: digest of the user's script that judges runs; "" if there is none.
+    `fixed`: command-line options of every run.
+    `what`: the purpose of the runs."""
 
     app: str
     bundle: str
@@ -47,12 +51,12 @@ class CampaignPlan:
     what: str = CAMPAIGN
 
     def json(self) -> dict[str, Any]:
-        """Return the plan in its stored form."""
+        """Return the plan as it is stored in JSON."""
         return {"format": FORMAT, **asdict(self), "fixed": list(self.fixed), "vary": list(self.vary)}
 
 
 def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[PlannedRun]:
-    """Return the runs of a plan. `settings` are the names of the harness' settings. Raises BadVary."""
+    """Return the runs of a plan. `settings` names the settings of the simulation harness. Raises BadVary."""
     found = []
     for number, own in enumerate(vary.values(varied, count)):
         params = {n.removeprefix(vary.PARAM): v for n, v in own.items() if n.startswith(vary.PARAM)}
@@ -62,7 +66,7 @@ def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -
     return found
 
 
-# Message to the user if a field of the stored plan differs.
+# field of a plan -> message to the user if the stored plan differs in this field
 _CHANGED = {
     "app": "the program is another",
     "bundle": "the program, the fleet file or koordgen has changed since",
@@ -80,7 +84,7 @@ def made_for(stored: Mapping[str, Any]) -> str:
 
 
 def difference(stored: Mapping[str, Any], wanted: CampaignPlan) -> str:
-    """Return why a stored plan differs from the wanted one; "" if it does not."""
+    """Return a text that explains how a stored plan differs from the wanted one; "" if both are equal."""
     if stored.get("format") != FORMAT:
         return f"its plan has not the format {FORMAT}"
     asked = wanted.json()

@@ -1,4 +1,4 @@
-"""Plots of a campaign: results of runs against each varied value, and a histogram of mission times."""
+"""Plots of a campaign: the results of runs over each varied value, and a histogram of mission times."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ def _scatter(axes: Axes, outcomes: Sequence[str], places: Sequence[float], value
 
 
 def _places(words: Sequence[str]) -> list[float]:
-    """Return positions on an axis: numbers at their value, words side by side in sorted order."""
+    """Return positions on an axis.
+
+    Numbers are placed at their value, other values side by side in sorted order."""
     if all(map(_numeric, words)):
         return [float(word) for word in words]
     order = {word: float(k) for k, word in enumerate(sorted(set(words)))}

@@ -1,7 +1,7 @@
-"""Folder of a campaign: its plan, one line per finished run, the runs' own folders, the table.
+"""Folder of a campaign: its plan, one line per finished run, the folders of runs, the table.
 
-A run is finished when its complete line is in `results.jsonl`; the line is written last. So a campaign can be resumed
-whatever ended it, and an incomplete run never counts.
+The line of a run in `results.jsonl` is written last. Only a run with a complete line counts as finished. So a campaign
+can be resumed after any kind of interruption, and an incomplete run never counts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class FolderUnusable(Exception):
-    """The folder cannot be used for this campaign; `help` names a remedy."""
+    """Raised if the folder cannot be used for this campaign. `help` names a remedy."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -35,15 +35,18 @@ class FolderUnusable(Exception):
 class RunResult:
     """Result of one run.
 
-    `outcome`: held, violated or failed (it could not be executed); `why`: the first reason. Times in seconds, distances
-    in metres; None if the run did not report the value. `figures`: numbers from the verdict script; `wall`: time on the
-    host."""
+    Times are in seconds, distances in metres; None if the run did not report the value.
+
+    `outcome`: "held", "violated", or "failed" if the run could not be executed.
+    `why`: the first reason for a violation or a failure.
+    `figures`: numbers that the user's verdict script returned.
+    `wall`: duration of the run on the host's clock."""
 
     run: int
     varied: dict[str, str]
     outcome: str
     why: str = ""
-    what: str = ""  # kind of the first violation: separation, collision, ...
+    what: str = ""  # kind of the first violation, such as separation or collision
     mission: float | None = None
     separation: float | None = None
     late_rounds: int | None = None
@@ -52,7 +55,7 @@ class RunResult:
 
 
 class CampaignStore:
-    """Folder of a campaign, claimed for one process. `claimed` opens it."""
+    """Folder of a campaign, which only one process uses at a time. The function `claimed` opens it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -78,7 +81,7 @@ class CampaignStore:
         self.results[result.run] = result
 
     def full(self) -> bool:
-        """Return whether the disk is full, which explains a run that failed."""
+        """Return whether the disk is full. This explains why a run failed."""
         probe = self.folder / ".probe"
         try:
             probe.write_bytes(bytes(1 << 20))
@@ -92,9 +95,9 @@ class CampaignStore:
 
 @contextmanager
 def claimed(folder: Path, plan: CampaignPlan, resume: bool) -> Iterator[CampaignStore]:
-    """Claim the campaign's folder, a new one or one with finished runs of the same plan.
+    """Open the campaign's folder for this process alone.
 
-    Raises FolderUnusable, OSError."""
+    The folder is new, or contains finished runs of the same plan. Raises FolderUnusable, OSError."""
     if not folder.exists() and resume:
         raise FolderUnusable(f"{folder}: there is no {plan.what} to go on with", "leave out --resume")
     if folder.exists() and not folder.is_dir():
@@ -137,7 +140,9 @@ def _object(path: Path) -> dict[str, Any]:
 
 
 def _finished(path: Path) -> dict[int, RunResult]:
-    """Return the results of finished runs. A line that a killed campaign left incomplete is cut off."""
+    """Return the results of finished runs, by number.
+
+    A last line that is incomplete is removed from the file."""
     if not path.exists():
         return {}
     text = path.read_bytes()
@@ -152,7 +157,7 @@ def _finished(path: Path) -> dict[int, RunResult]:
 
 
 def replace(path: Path, text: str) -> None:
-    """Write a file completely or not at all. Raises OSError."""
+    """Replace a file by a new text, either completely or not at all. Raises OSError."""
     new = path.with_name(f".{path.name}.new")
     try:
         new.write_text(text, encoding="utf-8")
@@ -164,7 +169,7 @@ def replace(path: Path, text: str) -> None:
 
 
 def cleared(folder: Path) -> Path:
-    """Delete a folder that an incomplete run may have left, and return its path. Raises OSError."""
+    """Delete a folder that an incomplete run may have left. Return the folder's path. Raises OSError."""
     if folder.exists():
         shutil.rmtree(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)

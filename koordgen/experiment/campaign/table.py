@@ -12,7 +12,7 @@ from typing import Any
 
 from koordgen.experiment.campaign.store import RunResult
 
-Z = 1.959964  # half width of the interval that holds 95 % of the standard normal distribution
+Z = 1.959964  # 95 % of a standard normal distribution are within this distance of its mean.
 MOST_REASONS = 5
 
 
@@ -30,7 +30,7 @@ def wilson(failures: int, runs: int) -> tuple[float, float]:
 
 
 def spread(values: Iterable[float | None]) -> dict[str, float] | None:
-    """Return mean, median, smallest and greatest value; None if there is no value."""
+    """Return the mean, median, smallest and greatest value; None if there are no values."""
     found = [v for v in values if v is not None]
     if not found:
         return None
@@ -41,9 +41,10 @@ def spread(values: Iterable[float | None]) -> dict[str, float] | None:
 
 
 def counted(results: Sequence[RunResult]) -> dict[str, Any]:
-    """Return the numbers of runs by outcome, and statistics of executed runs.
+    """Return the numbers of runs by outcome, and statistics of the executed runs.
 
-    Mission time is that of runs that held: a run that a violation ended has no meaningful mission time."""
+    Mission times are taken only from runs without a violation: a violation ends a run before its mission is complete.
+    """
     held = [r for r in results if r.outcome == "held"]
     violated = [r for r in results if r.outcome == "violated"]
     ran = [*held, *violated]
@@ -63,7 +64,9 @@ def counted(results: Sequence[RunResult]) -> dict[str, Any]:
 
 
 def reasons(results: Sequence[RunResult]) -> list[dict[str, Any]]:
-    """Return the kinds of violations and failures, the most frequent first, each with its first run."""
+    """Return the kinds of violations and failures with their numbers, the most frequent first.
+
+    Each kind contains the first run in which it occurred."""
     found: dict[str, list[RunResult]] = {}
     for r in results:
         if r.outcome != "held":
@@ -77,7 +80,7 @@ def reasons(results: Sequence[RunResult]) -> list[dict[str, Any]]:
 def document(
     app: str, planned: int, results: Sequence[RunResult], cells: Sequence[Mapping[str, str]]
 ) -> dict[str, Any]:
-    """Return `campaign.json`. `cells` are the combinations of the varied lists."""
+    """Return the content of `campaign.json`. `cells` are the combinations of the varied lists' values."""
     parted = [
         {"varied": dict(cell), **counted([r for r in results if all(r.varied.get(k) == v for k, v in cell.items())])}
         for cell in cells
@@ -111,7 +114,7 @@ _ROWS = {"mission": "mission time, s", "separation": "closest, m", "late_rounds"
 
 
 def as_text(found: Mapping[str, Any]) -> str:
-    """Return the table as text, from a `document`."""
+    """Return the table as text, made from the content of `campaign.json`."""
     lines = [f"{found['app']}: {_ends(found, found['planned'])}", ""]
     names = [n for n in found if n in _ROWS or n.startswith("figure ")]
     rows: list[tuple[str, ...]] = [("", "mean", "median", "min", "max")]

@@ -1,6 +1,6 @@
-"""Execution of one run on any host: the bundle's command, its summary, the user's verdict.
+"""Execution of one run on any host: the bundle's command, its summary, the user's verdict script.
 
-Workers of a cluster run this file, too, so it depends on little else.
+A cluster's workers import this module, too, so it imports as little as possible.
 """
 
 from __future__ import annotations
@@ -18,36 +18,37 @@ from typing import Any
 
 from koordgen.experiment.campaign.store import RunResult
 
-HELD, VIOLATED = 0, 3  # exit statuses of a bundle
-POLL = 0.05  # seconds between two checks for a stop
+HELD, VIOLATED = 0, 3  # exit statuses of a bundle's command
+POLL = 0.05  # seconds between two checks whether the campaign was stopped
 PATIENCE = 10.0  # seconds from the request to end until a run is killed
-MOST_SHOWN = 300  # longest reason in characters
+MOST_SHOWN = 300  # largest number of characters of a reason
 
 
 class CampaignStopped(Exception):
-    """The campaign was stopped; its running run was ended and does not count."""
+    """Raised if the campaign was stopped. The current run was ended and does not count."""
 
 
 @dataclass(frozen=True)
 class Job:
     """One run to execute.
 
-    `flags` are the bundle's own; `settings` of its harness override the scenario's; `verdict`: a script that gets the
-    run's folder, "" without one."""
+    `flags`: options of the bundle's command.
+    `settings`: settings of the simulation harness, which override those of the scenario.
+    `verdict`: the user's script, which gets the run's folder; "" if there is none."""
 
     number: int
     varied: Mapping[str, str]
     flags: tuple[str, ...]
     settings: Mapping[str, Any]
     verdict: str
-    gentle: bool  # run with low priority
-    scenario: str = ""  # scenario with faults, as JSON; "" without one
+    gentle: bool  # whether the run has low priority on the host
+    scenario: str = ""  # scenario with faults, as JSON; "" if there is none
 
 
 def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> RunResult:
-    """Execute and judge a run.
+    """Execute a run and judge its result.
 
-    The run writes into `folder`; its settings and its scenario are stored beside it. Raises CampaignStopped,
+    The run writes into `folder`. Its settings and its scenario are stored beside this folder. Raises CampaignStopped,
     OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
@@ -68,10 +69,11 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
 
 
 def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
-    """Run a command to its end.
+    """Run a command to its end, and return its exit status and output.
 
-    Return its status and its output. It is ended if the campaign is stopped. Raises CampaignStopped."""
-    # The child has its own process group, so that this process decides whether it gets a terminal's Ctrl-C.
+    If the campaign is stopped, the command is ended. Raises CampaignStopped."""
+    # The child gets a process group of its own. So a terminal's Ctrl-C reaches only this process, which then ends the
+    # child.
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
     ) as child:
@@ -87,7 +89,9 @@ def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, s
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End a run with two requests: after the first one it would stop its robots and write a report."""
+    """End a run by two requests.
+
+    After one request, the run would first stop its robots and write a report."""
     for _ in range(2):
         child.terminate()
         try:
@@ -142,8 +146,8 @@ def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> 
 def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], bool]) -> RunResult:
     """Judge a run by the user's script.
 
-    If its status is not 0, the run is violated and the last line of its output is the reason. If the last line is a
-    JSON object, its numbers are figures of the run."""
+    If the script's exit status is not 0, the run counts as violated, and the last line of the script's output is the
+    reason. If the last line is a JSON object, its numbers become figures of the run."""
     status, told = run_command([sys.executable, script, str(folder)], stopped)
     lines = [line.strip() for line in told.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None

@@ -1,10 +1,11 @@
-"""Variation from run to run, as in `seed=1:70`, `loss=0:0.3`, `delay=0,0.05`, `param.eps=0.5:0.9`.
+"""Variation of values from run to run: `seed=1:70`, `loss=0:0.3`, `delay=0,0.05`, `param.eps=0.5:0.9`.
 
-Lists of values span cells, one for each combination of their values. Runs go through the cells in turn; one pass
-through all cells is a turn. The runs of one turn have the same seed and the same drawn values, so that cells can be
-compared in pairs. Values of ranges are multiples of square roots of primes (R. D. Richtmyer, "The Evaluation of
-Definite Integrals, and a Quasi-Monte-Carlo Method", 1951): every initial part of a campaign covers its ranges about as
-evenly as the whole.
+A cell is one combination of the values of all lists. Runs use one cell after another; a pass is one cycle through all
+cells. All runs of a pass have the same seed and the same values of ranges, so that cells can be compared in pairs.
+
+The values of ranges come from multiples of square roots of primes (R. D. Richtmyer, "The Evaluation of Definite
+Integrals, and a Quasi-Monte-Carlo Method", 1951). So the first runs of a campaign, however many, cover the ranges about
+as evenly as the whole campaign.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
 
 
 class BadVary(Exception):
-    """An argument of `--vary` is wrong; the message quotes it."""
+    """Raised if an argument of `--vary` is wrong; the message quotes the argument."""
 
 
 @dataclass(frozen=True)
 class ValueList:
-    """A list of values, as they were written."""
+    """List of values, in the form in which the user wrote them."""
 
     name: str
     values: tuple[str, ...]
@@ -35,7 +36,7 @@ class ValueList:
 
 @dataclass(frozen=True)
 class NumberRange:
-    """Any number from `lo` to `hi`."""
+    """Range: any number from `lo` to `hi`."""
 
     name: str
     lo: float
@@ -44,7 +45,7 @@ class NumberRange:
 
 @dataclass(frozen=True)
 class Seeds:
-    """A new seed in each turn, beginning with `first`; `last` limits the number of turns."""
+    """Seeds: a new one for each pass, beginning with `first`. `last` limits the number of passes."""
 
     first: int
     last: int | None = None
@@ -55,7 +56,7 @@ Varied = ValueList | NumberRange | Seeds
 
 
 def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
-    """Parse the arguments of all `--vary`. Raises BadVary."""
+    """Parse the arguments of all `--vary` options. Raises BadVary."""
     found: list[Varied] = []
     for text in texts:
         found += [_one(*item) for item in _items(text)]
@@ -73,7 +74,7 @@ def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
 def _items(text: str) -> list[tuple[str, list[str]]]:
     """Split `seed,loss=0,0.1,delay=0:1` into [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])].
 
-    An item without `=`, except `seed`, continues the list before it."""
+    An item without `=` continues the list before it, unless the item is `seed`."""
     items: list[tuple[str, list[str]]] = []
     for part in text.split(","):
         name, equals, value = (word.strip() for word in part.partition("="))
@@ -126,9 +127,9 @@ def _whole(name: str, text: str) -> int:
 
 
 def natural(varied: Sequence[Varied]) -> int | None:
-    """Return the default number of runs: every combination once, with every seed.
+    """Return the default number of runs, in which every combination occurs once with every seed.
 
-    None if there is no natural number."""
+    Returns None if there is no such number."""
     seeds = next((v for v in varied if isinstance(v, Seeds)), None)
     if any(isinstance(v, NumberRange) for v in varied) or (seeds and seeds.last is None):
         return None
@@ -137,7 +138,7 @@ def natural(varied: Sequence[Varied]) -> int | None:
 
 
 def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
-    """Return the combinations of the lists' values; a single empty one if there is no list."""
+    """Return the combinations of the lists' values; a single empty combination if there is no list."""
     grids = [v for v in varied if isinstance(v, ValueList)]
     return [
         dict(zip([g.name for g in grids], values, strict=True)) for values in product(*[grid.values for grid in grids])
@@ -145,9 +146,9 @@ def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
 
 
 def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
-    """Return for each run its varied values by name, as on a command line, in the order of `varied`.
+    """Return the varied values of each run: name -> value as written on a command line.
 
-    Raises BadVary if there are too few seeds."""
+    The names are in the order of `varied`. Raises BadVary if there are too few seeds."""
     combinations = cells(varied)
     ranges = [v for v in varied if isinstance(v, NumberRange)]
     steps = [math.sqrt(prime) for prime in PRIMES]

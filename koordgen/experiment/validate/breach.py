@@ -1,4 +1,4 @@
-"""Kinds of breaches: how a body left the box between its position and its target."""
+"""Kinds of breaches: the manner in which a robot left the box between its position and its target."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 Kind = Literal["overshoot", "across", "away", "drift"]
 Vector = tuple[float, float, float]
 
-SLOW = 0.05  # m/s; a slower body counts as standing
+SLOW = 0.05  # speed in m/s below which a robot counts as standing
 EXPLANATIONS: dict[Kind, str] = {
     "overshoot": "along its motion, past its target or not yet braked: inertia",
     "across": "across the line to its target: a curve, around an obstacle or of a body that cannot turn on the spot",
@@ -20,11 +20,15 @@ EXPLANATIONS: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class BoxBreach:
-    """The farthest position outside of the box within one window.
+    """Breach: the farthest position outside of the box within one window.
 
-    `out`: vector from the box (m, local ENU). `at`: begin of the window in seconds since round 1. Each window's box
-    begins at the body's position at that time. For windows one after the other, `together` is the length of the sum of
-    their vectors (m), and `main` the kind of the farthest of them."""
+    A window's box extends from the robot's position at the window's start to its target.
+
+    `at`: start of the window, in seconds since round 1.
+    `out`: vector from the box to the farthest position (m, local ENU).
+    `together`: length in metres of the sum of these vectors over this window and the breached windows directly before
+        it.
+    `main`: kind of the farthest breach among these windows."""
 
     pid: int
     at: float
@@ -58,9 +62,11 @@ class ConsecutiveBreaches:
 def kind(start: Vector, target: Vector, before: Vector, out: Vector, then: Vector) -> Kind:
     """Return the kind of a breach.
 
-    `start` and `before`: position and velocity at the window's begin; `out` and `then`: vector from the box and
-    velocity at the farthest position. Only x and y are used, because vertical motion differs from horizontal motion,
-    unless the body left the box mainly by its height."""
+    `start`, `before`: position and velocity at the window's start.
+    `out`: vector from the box to the farthest position.
+    `then`: velocity at the farthest position.
+    Vertical motion differs from horizontal motion, so only x and y are used, unless the robot left the box mainly in z.
+    """
     if math.hypot(*then) < SLOW:
         return "drift"
     axes = (2,) if abs(out[2]) > math.hypot(out[0], out[1]) else (0, 1)

@@ -15,18 +15,20 @@ from koordgen.experiment.validate.tube import Reachset, above
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito, Color Universal Design (2008): distinguishable with colour blindness; important parts are darker.
+# Colours that people with colour blindness can distinguish (Okabe and Ito, Color Universal Design, 2008). Important
+# parts
+# are darker.
 TUBE, EDGE, WAY, START, GOAL = "#CFE5F3", "#0072B2", "#444444", "#009E73", "#D55E00"
 DASHED = (0, (4, 3))
-INCHES = 5.2  # width of a column
-MARGIN = 0.06  # part of the picture's extent
+INCHES = 5.2  # width of one column of the picture, in inches
+MARGIN = 0.06  # margin around the drawing, as a fraction of the drawing's extent
 
 
 def draw_reachsets(reachsets: Sequence[Reachset], file: Path) -> Path:
-    """Draw one column per reachset, all with the same scales.
+    """Draw one column per reachset, all with the same scales, and write the picture to a file.
 
-    Above are x and y, below is the position along the offset over time. Raises ValueError without any reachset,
-    OSError."""
+    The upper diagram shows x and y. The lower diagram shows the position along the offset over time. Raises ValueError
+    if there are no reachsets, and OSError."""
     from matplotlib.figure import Figure
 
     if not reachsets:
@@ -61,7 +63,7 @@ def _title(found: Reachset) -> str:
 
 
 def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lower and upper corner in x and y of everything that is drawn."""
+    """Return the lower and the upper corner, in x and y, of everything that is drawn."""
     every = np.vstack([np.vstack([_corners(f).reshape(-1, 2), np.zeros(2), f.offset[:2]]) for f in reachsets])
     low, high = every.min(axis=0), every.max(axis=0)
     room = MARGIN * float((high - low).max())
@@ -69,7 +71,7 @@ def _extent(reachsets: Sequence[Reachset]) -> tuple[NDArray[np.float64], NDArray
 
 
 def _corners(found: Reachset) -> NDArray[np.float64]:
-    """Return the corners of each box seen from above: (J, 4, 2)."""
+    """Return the corners of each box as seen from above, an array of shape (J, 4, 2)."""
     u, left = (axis[:2] for axis in above(found.offset))
     return found.ahead[:, [0, 1, 1, 0], None] * u + found.aside[:, [0, 0, 1, 1], None] * left
 
@@ -79,7 +81,7 @@ def _from_above(axes: Axes, found: Reachset) -> None:
     from matplotlib.patches import Circle, Polygon, Rectangle
 
     boxes = [Polygon(corners) for corners in _corners(found)]
-    # Edges are drawn below all faces, so that only the outline of the union remains visible.
+    # All edges are drawn below all faces. So only the outline of the boxes' union remains visible.
     axes.add_collection(PatchCollection(boxes, facecolor=EDGE, edgecolor=EDGE, linewidth=2.0, zorder=1))
     axes.add_collection(PatchCollection(boxes, facecolor=TUBE, edgecolor="none", linewidth=0, zorder=2))
     for k, way in enumerate(found.ways):

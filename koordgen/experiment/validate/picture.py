@@ -1,4 +1,4 @@
-"""Picture of a validation: distances of bodies from their box, window by window."""
+"""Picture of a validation: distances of robots from their boxes, window by window."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ if TYPE_CHECKING:
 
 COLOURS: dict[Kind, str] = {"overshoot": "#c0392b", "across": "#2471a3", "away": "#8e44ad", "drift": "#909497"}
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LEAST = 1e-4  # metres; smaller distances are drawn here
+LEAST = 1e-4  # smallest distance drawn, in metres; smaller distances are drawn at this one
 BINS = 40
 
 
 def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
-    """Draw a row for each platform. Return whether there was anything to draw.
+    """Draw a row for each platform. Return whether a picture was written.
 
-    On the left is every window by its begin, on the right a histogram of distances with the farthest of each run.
-    False, without a picture, if no run recorded positions. Raises OSError."""
+    The left diagram shows the distance in every window over the window's start. The right diagram is a histogram of
+    these distances, with the farthest one of each run. If no run recorded positions, no picture is written. Raises
+    OSError."""
     from matplotlib.figure import Figure
 
     platforms = list(dict.fromkeys(p for sample in samples for p in sample.platforms)) if _moved(samples) else []
@@ -31,7 +32,8 @@ def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
     figure = Figure(figsize=(11, 0.9 + 3.0 * len(platforms)), layout="constrained")
     rows = figure.subplots(len(platforms), 2, squeeze=False, sharex="col", sharey=True, width_ratios=(3, 1))
     for (over_time, counted), platform in zip(rows, platforms, strict=True):
-        own = [[b for b in sample.breaches if sample.platforms[b.pid] == platform] for sample in samples]  # by run
+        # for each run, the breaches of robots of this platform
+        own = [[b for b in sample.breaches if sample.platforms[b.pid] == platform] for sample in samples]
         _over_time(over_time, own, f"{platform}: {_said(own)}")
         _counted(counted, own)
     rows[-1][0].set_xlabel("beginning of the window, s since round 1")

@@ -1,8 +1,10 @@
-"""Probes: runs in which robots of one platform go from random starts to one relative target.
+"""Probes: runs in which robots of one platform go from random starts to a target at a fixed offset.
 
-A small Koord program and a fleet file are generated, built by the ordinary pipeline and run in lockstep like the runs
-of a campaign. Frames: local ENU, metres. A sample's own frame has its origin at the nominal start, so the target is at
-the offset and the start within `Start.radius` of the origin. The world of a probe contains nothing else.
+For a probe, a small Koord program and a fleet file are generated, built by the ordinary pipeline, and run in lockstep
+like the runs of a campaign. The world of a probe contains nothing but the robots.
+
+Frames: local ENU, metres. Each sample has its own frame, with the origin at the nominal start. So the target is at the
+offset, and the start is within `Start.radius` of the origin.
 """
 
 from __future__ import annotations
@@ -33,17 +35,18 @@ from koordgen.fleet.manifest import Target
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-RATE = 240  # poses a second, one for every step of the world
-STATE = 0.05  # seconds before and after the start over which its velocity is averaged
-MOST_ROBOTS = 100  # most robots in one run
+RATE = 240  # recorded poses per second: one for every step of the simulated world
+# The velocity at the start is the average from this many seconds before the start until as many seconds after it.
+STATE = 0.05
+MOST_ROBOTS = 100  # largest number of robots in one run
 KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # keys that are copied from the user's fleet file
-WEATHER = ("floor_friction", "wind")  # keys that are copied from its world
+WEATHER = ("floor_friction", "wind")  # keys that are copied from the `world` of the user's fleet file
 PROGRAM = """\
-# A probe: each robot runs up towards a first target, and then gets the one on its way to which it is looked at.
+# Probe: each robot moves towards a first target, and then gets a second one. Its path to the second one is observed.
 
 param List<Point> first max 128 = []
-param List<Point> shift max 128 = []  # from where it is then to the second
-param List<int> last max 128 = []  # round
+param List<Point> shift max 128 = []  # vector from the robot to the second target
+param List<int> last max 128 = []  # round in which the second target is given
 
 using {module}:
   sensors: Point {position} as position
@@ -72,7 +75,7 @@ Go:
 
 
 class BadProbe(Exception):
-    """A probe is impossible, or did not run; `help` names a remedy."""
+    """Raised if a probe is impossible or could not be executed. `help` names a remedy."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -81,11 +84,13 @@ class BadProbe(Exception):
 
 @dataclass(frozen=True)
 class Start:
-    """Set of starts.
+    """Set of starts, from which each sample draws its start.
 
-    When the target is commanded, the robot is within `radius` (m, in x and y, uniform) of the nominal start. For a
-    random time in the interval `after` (s) it has moved to a first target, `run_up` m away in a direction within `turn`
-    (rad) of the offset's. If `run_up` is 0, it stands."""
+    `radius`: when the target is commanded, the robot is within this distance of the nominal start (m, uniform in x and
+        y).
+    `run_up`: distance in metres of a first target, to which the robot moves before; 0 if the robot stands at the start.
+    `turn`: largest angle between the directions of the first target and of the offset, in rad.
+    `after`: interval in seconds from which the duration of the movement to the first target is drawn."""
 
     radius: float = 0.1
     turn: float = 0.1
@@ -95,10 +100,11 @@ class Start:
 
 @dataclass(frozen=True)
 class ProbedPlatform:
-    """Robots of one kind in a fleet file: same target, settings and simulation.
+    """Platform to probe: robots of a fleet file with the same target, settings and simulation.
 
-    `robot`: its entry in the file; `common`: entries for all robots; `beside`: the user's own classes by their path in
-    bundles."""
+    `robot`: the entry of one such robot in the fleet file.
+    `common`: the file's entries for all robots.
+    `beside`: path in bundles -> file of the user's own classes."""
 
     name: str
     target: str
@@ -107,15 +113,17 @@ class ProbedPlatform:
     robot: Mapping[str, Any]
     common: Mapping[str, Any]
     beside: Mapping[str, Path]
-    height: tuple[float, float]  # lowest and highest z of the geofence
+    height: tuple[float, float]  # lowest and highest z of the geofence, in metres
 
 
 @dataclass(frozen=True)
 class Probe:
     """Request for samples of one platform's motion.
 
-    `count` robots, `robots` of them in each run, are observed for `seconds` on their path to a target at `offset` (m,
-    ENU)."""
+    `offset`: the target relative to the nominal start (m, ENU).
+    `seconds`: duration of the observation of each robot.
+    `count`: number of robots that are observed in all runs together.
+    `robots`: number of robots in each run."""
 
     platform: ProbedPlatform
     offset: Vector
@@ -127,12 +135,12 @@ class Probe:
 
     @property
     def parts(self) -> int:
-        """Return the number of runs."""
+        """Return the number of runs of the probe."""
         return math.ceil(self.count / self.robots)
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Return the flags of each run."""
+        """Return the command-line options of each run."""
         passed = math.ceil(self.start.after[1] / self.platform.delta) + 2
         duration = passed * self.platform.delta + self.seconds + STATE
         return (f"--duration={duration:g}", "--lockstep", "--no-report")
@@ -140,10 +148,11 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of a probe.
+    """Samples of a probe: n robots, observed at T times.
 
-    `times` (T,): s since the target was commanded; `positions` (n, T, 3): m in the samples' frame; `starts` (n, 7):
-    position (m), velocity (m/s, ENU) and yaw (rad)."""
+    `times` (T,): seconds since the target was commanded.
+    `positions` (n, T, 3): metres, each in its sample's own frame.
+    `starts` (n, 7): position (m), velocity (m/s, ENU) and yaw (rad)."""
 
     probe: Probe
     times: Array
@@ -156,9 +165,10 @@ def _harness() -> Target:
 
 
 def platforms(fleet_file: str) -> dict[str, ProbedPlatform]:
-    """Return the platforms of a fleet file by name: target and fidelity.
+    """Return the platforms of a fleet file by name. A name consists of target and fidelity.
 
-    If several differ in settings alone, the first robot of each. Raises Rejected, ManifestError."""
+    Robots with the same target and fidelity but different settings are different platforms, whose names include the
+    name of the first such robot. Raises Rejected, ManifestError."""
     targets = {name: manifest.load(name) for name in manifest.available()}
     harness = _harness()
     fleet, _ = read_fleet(fleet_file, targets, None)
@@ -198,9 +208,9 @@ def check(probe: Probe) -> None:
 
 
 def fleet_of(probe: Probe, part: int) -> dict[str, Any]:
-    """Return the fleet file of one run as plain values.
+    """Return the content of the fleet file of one run.
 
-    The seed, the part and the robot determine all random values."""
+    All random values are determined by the seed, the number of the run, and the robot."""
     platform, start = probe.platform, probe.start
     apart = 2 * (math.hypot(*probe.offset[:2]) + start.run_up) + 6.0
     columns = math.ceil(math.sqrt(probe.robots))
@@ -240,7 +250,7 @@ def program_of(target: manifest.Target) -> str:
 
 
 def build_probe(probe: Probe, part: int, folder: Path) -> None:
-    """Write program and fleet, and build their bundle into `folder`.
+    """Write the program and the fleet file of a run, and build their bundle into `folder`.
 
     Raises Rejected, CannotWrite, OSError."""
     folder.mkdir(parents=True)
@@ -262,10 +272,10 @@ def take_samples(
     tell: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Samples]:
-    """Execute all runs in a new folder, as a campaign does.
+    """Execute all runs of a probe in a new folder, as a campaign does, and return the samples.
 
-    The files of a run, some 10 MB, are deleted after its samples are taken. Raises BadProbe if a probe is impossible or
-    did not run, and what `drive.execute_runs` raises."""
+    A run writes some 10 MB of files, which are deleted once its samples are read. Raises BadProbe if a probe is
+    impossible or could not be executed, and what `drive.execute_runs` raises."""
     for probe in probes:
         check(probe)
     runs: list[PlannedRun] = []
@@ -308,7 +318,7 @@ def _gathered(probe: Probe, runs: Sequence[PlannedRun], kept: store.CampaignStor
 
 
 def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
-    """Return each robot's path and start in one run. Raises BadProbe, OSError."""
+    """Return the path and the start of each robot in one run. Raises BadProbe, OSError."""
     poses: dict[int, list[tuple[float, ...]]] = {}
     gone: dict[int, tuple[float, Sequence[float]]] = {}
     with trace.open("rb") as file:
@@ -318,7 +328,7 @@ def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
                 case {"kind": "pose", "t": t, "pid": pid, "position": [x, y, z], "yaw": yaw}:
                     poses.setdefault(pid, []).append((t, x, y, z, yaw))
                 case {"kind": "round", "event": "Go", "t": t, "pid": pid, "actuators": written} if written:
-                    gone[pid] = t, next(iter(written.values()))  # the program has one actuator
+                    gone[pid] = t, next(iter(written.values()))  # the generated program has only one actuator
     if missing := set(poses) - set(gone):
         why = f"{trace}: robot {min(missing)} never came to its second target"
         raise BadProbe(why, "look at the run's folder; its report is made by `koordgen report`")

@@ -1,4 +1,4 @@
-"""Reachsets of the platforms of a fleet file at one offset, side by side."""
+"""Reachsets of the platforms of a fleet file for one offset, side by side."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from koordgen.experiment.validate.statistics import needed
 from koordgen.experiment.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compare, reachset_of
 
 PICTURE, TABLE = "reachsets.png", "reachsets.txt"
-PARTS = 3  # parts of the samples: for learning, for calibration, for the check
+PARTS = 3  # The samples are divided into this many parts: for learning, for calibration, and for the check.
 
 
 @dataclass(frozen=True)
 class ReachsetRequest:
-    """Request for reachsets: a target at `offset` (m, ENU), and the claim about paths to it.
+    """Request for reachsets.
 
-    `seconds`: observation of each path; None: enough for a slow robot at half a metre a second, and 4 s to stop."""
+    `offset`: the target relative to the nominal start (m, ENU).
+    `seconds`: duration of the observation of each path. If None, it is the time that a robot with half a metre per
+        second needs, and 4 s to stop."""
 
     offset: Vector
     epsilon: float = EPSILON
@@ -33,16 +35,16 @@ class ReachsetRequest:
     seed: int = 0
     start: Start = field(default_factory=Start)
     seconds: float | None = None
-    robots: int = 16  # robots in one run; 1 if robots of a platform disturb one another
+    robots: int = 16  # number of robots in one run; 1 if robots of a platform disturb one another
 
     @property
     def lasts(self) -> float:
-        """Return the observation time of each path in seconds."""
+        """Return the duration of the observation of each path, in seconds."""
         return round(4 + 2 * math.hypot(*self.offset), 1) if self.seconds is None else self.seconds
 
 
 def probes(fleet_file: str, names: Sequence[str], asked: ReachsetRequest) -> list[Probe]:
-    """Return a probe for each named platform of the fleet file, or for all if none is named.
+    """Return a probe for each named platform of the fleet file; for all platforms if none is named.
 
     Raises BadProbe, Rejected, ManifestError."""
     known = platforms(fleet_file)
@@ -64,19 +66,19 @@ def reachsets(
 ) -> list[Reachset]:
     """Return one reachset per platform, in the order of `names`.
 
-    Their runs are executed together, in a new folder, with the same starts for all. Raises BadProbe, Rejected,
-    ManifestError, and what `campaign.drive.execute_runs` raises."""
+    The runs of all platforms are executed together in a new folder, with the same starts for all platforms. Raises
+    BadProbe, Rejected, ManifestError, and what `campaign.drive.execute_runs` raises."""
     found = take_samples(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
     return [reachset_of(samples, asked.epsilon, asked.gamma) for samples in found]
 
 
 def comparisons(found: Sequence[Reachset]) -> list[Comparison]:
-    """Return the comparison of each pair of reachsets, which have one offset."""
+    """Return the comparison of each pair of reachsets. All of them must have the same offset."""
     return [compare(a, b) for a, b in combinations(found, 2)]
 
 
 def write_files(found: Sequence[Reachset], folder: Path) -> list[Path]:
-    """Write a JSON file for each reachset, their picture, and the table that compares them.
+    """Write a JSON file for each reachset, a picture of all, and the table that compares them.
 
     Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)

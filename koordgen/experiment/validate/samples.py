@@ -13,13 +13,13 @@ from typing import Any
 from koordgen.experiment.validate.breach import BoxBreach, ConsecutiveBreaches, kind
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-FINISHED = ("completed", "stopped")  # endings of a mission that was observed to its end
+FINISHED = ("completed", "stopped")  # outcomes of a mission that was observed to its end
 HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
 
 
 @dataclass(frozen=True)
 class SampledAssumption:
-    """An assumption of the program: its module and line, and its index in the run's records."""
+    """An assumption of the program: its module, its line, and its index in the run's records."""
 
     index: int
     module: str
@@ -28,25 +28,29 @@ class SampledAssumption:
 
 @dataclass
 class AssumptionObservation:
-    """Observation of one assumption on one robot in a run.
+    """Observation of one assumption on one robot in one run.
 
-    `windows`: numbers of windows by outcome; `first`: time of the first violation (seconds since round 1); `worst`: the
-    farthest breach in a violated window."""
+    `windows`: outcome -> number of windows.
+    `first`: time of the first violation, in seconds since round 1.
+    `worst`: the farthest breach in a violated window."""
 
     windows: Counter[str] = field(default_factory=Counter)
     first: float | None = None
     worst: BoxBreach | None = None
-    breaches: Counter[str] = field(default_factory=Counter)  # violated windows by kind of breach
-    farthest: dict[str, float] = field(default_factory=dict)  # largest distance in one window (m), by kind
-    together: dict[str, float] = field(default_factory=dict)  # largest sum over consecutive windows (m), by kind
+    breaches: Counter[str] = field(default_factory=Counter)  # kind of breach -> number of violated windows
+    # kind of breach -> largest distance from the box in one window, in metres
+    farthest: dict[str, float] = field(default_factory=dict)
+    # kind of breach -> largest sum over consecutive windows, in metres
+    together: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RunSample:
-    """One run.
+    """Sample: the observations of one run.
 
-    `platforms` and `names` by pid. `far` and `reach`, by pid: largest distance of a body from its target (metres),
-    while it was outside of the box, and at any time."""
+    `platforms`, `names`: the platform and the name of each robot, by pid.
+    `far`: largest distance of a robot from its target while the robot was outside of the box, in metres, by pid.
+    `reach`: largest distance of a robot from its target at any time, in metres, by pid."""
 
     run: int
     seed: int
@@ -55,7 +59,7 @@ class RunSample:
     names: tuple[str, ...]
     platforms: tuple[str, ...]
     assumptions: tuple[SampledAssumption, ...]
-    unchecked: tuple[tuple[int, str], ...]  # line and reason
+    unchecked: tuple[tuple[int, str], ...]  # (line, reason) of assumptions that cannot be evaluated
     seen: Mapping[tuple[int, int], AssumptionObservation]
     breaches: tuple[BoxBreach, ...]
     far: Mapping[int, float]
@@ -66,7 +70,7 @@ class RunSample:
         return [pid for pid, own in enumerate(self.platforms) if own == platform]
 
     def of(self, assumption: int, platform: str) -> list[AssumptionObservation]:
-        """Return the observations of an assumption on a platform, by robot."""
+        """Return the observations of an assumption on all robots of a platform."""
         return [self.seen[assumption, pid] for pid in self.robots(platform)]
 
 
@@ -80,7 +84,7 @@ def read(folder: Path, run: int) -> RunSample | None:
         return _sample(run, lines[0], lines[1:-1], lines[-1]["end"])
     except FileNotFoundError:
         return None
-    except (ValueError, LookupError, TypeError):  # cut off, or not written by a run
+    except (ValueError, LookupError, TypeError):  # the file is cut off, or was not written by a run
         return None
 
 
@@ -130,9 +134,9 @@ def _note(seen: AssumptionObservation, came: str, at: float, breach: BoxBreach |
 
 
 def margin(samples: Iterable[RunSample], platform: str, *, outside: bool) -> float:
-    """Return the largest distance (m) of a platform's robots from their target in any run.
+    """Return the largest distance, in metres, of a platform's robots from their target in any run.
 
-    If `outside`, only while the robot was outside of the box. 0 if there was no such time."""
+    If `outside`, only times count at which the robot was outside of the box. Returns 0 if there are no such times."""
     values = (
         (sample.far if outside else sample.reach).get(pid, 0.0) for sample in samples for pid in sample.robots(platform)
     )

@@ -1,4 +1,4 @@
-"""Statistics of independent samples: their required number, and confidence intervals."""
+"""Statistics of independent samples: the number of samples that is needed, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ HALVINGS = 60
 
 
 def needed(epsilon: float, gamma: float) -> int:
-    """Return the number of samples below a threshold that show the claim of epsilon and gamma.
+    """Return the number of samples that show a claim, if none of them exceeds a threshold.
 
-    The samples are independent, and none exceeds the threshold. The claim: with confidence 1 - gamma at most a part
-    epsilon of all future samples exceeds it. The number is the least n >= ln(1/gamma)/epsilon, because (1 - epsilon)^n
-    <= exp(-n epsilon) <= gamma. The same holds for runs without a violation. Raises ValueError."""
+    The claim: with confidence 1 - gamma, at most a fraction epsilon of all future samples exceeds the threshold. The
+    samples must be independent. The number is the least n >= ln(1/gamma)/epsilon, because (1 - epsilon)^n <= exp(-n
+    epsilon) <= gamma. The same number applies to runs without a violation. Raises ValueError."""
     if not (0 < epsilon < 1 and 0 < gamma < 1):
         raise ValueError(f"epsilon {epsilon:g} and gamma {gamma:g} must be between 0 and 1")
     return math.ceil(math.log(1.0 / gamma) / epsilon)
@@ -29,8 +29,9 @@ def shown_epsilon(runs: int, gamma: float) -> float:
 def clopper_pearson(violated: int, runs: int, gamma: float) -> tuple[float, float]:
     """Return a confidence interval of the probability of a violation (Clopper and Pearson 1934).
 
-    It contains the probability with confidence 1 - gamma or more, whatever it is: its probabilities are those for which
-    neither this many violations or more, nor this many or fewer, are rarer than gamma/2. Without runs, it is [0, 1]."""
+    The interval contains the true probability with confidence 1 - gamma or more. A probability p is in the interval
+    unless the observation would be rare with p: unless `violated` or more violations, or `violated` or fewer
+    violations, have a probability below gamma/2. Without runs, the interval is [0, 1]."""
     low = 0.0 if not violated else _where(lambda p: 1.0 - _at_most(violated - 1, runs, p) < gamma / 2)
     high = 1.0 if violated == runs else _where(lambda p: _at_most(violated, runs, p) > gamma / 2)
     return low, high
@@ -46,7 +47,9 @@ def _at_most(k: int, n: int, p: float) -> float:
 
 
 def _where(below: Callable[[float], bool]) -> float:
-    """Return the probability up to which a condition is true, by bisection."""
+    """Return the largest probability for which a condition is true, found by bisection.
+
+    The condition must be true below this probability and false above it."""
     low, high = 0.0, 1.0
     for _ in range(HALVINGS):
         middle = (low + high) / 2

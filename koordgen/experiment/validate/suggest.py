@@ -1,4 +1,4 @@
-"""Suggestions: weaker assumptions that all samples satisfy, and the verdicts with each."""
+"""Suggestions: weaker assumptions that all samples satisfy, with the verdicts under each of them."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from koordgen.verify.prove.report.show import suggestion as closing
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-STEP = 0.01  # metres; margins are rounded up to multiples of it
-MOST_SAID = 140  # longest reason in characters
+STEP = 0.01  # Margins are rounded up to multiples of this length, in metres.
+MOST_SAID = 140  # largest number of characters of a reason
 
 
 @dataclass(frozen=True)
 class Proved:
     """Verdict of an invariant under some assumption.
 
-    `closing`: what else would prove it, or why it is not proved; empty if neither is known."""
+    `closing`: additional facts that would prove the invariant, or the reason why it is not proved; empty if both are
+        unknown."""
 
     invariant: str
     verdict: str
@@ -37,9 +38,10 @@ class Proved:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """An assumption that replaces another one.
+    """Assumption that replaces another one.
 
-    Margins in metres, by platform and for all of them; `proved`: the verdicts with it."""
+    The margins are in metres, for each platform and for all of them. `proved`: the prover's verdicts with this
+    assumption."""
 
     module: str
     line: int
@@ -50,12 +52,14 @@ class Suggestion:
 
     @property
     def closes(self) -> bool:
-        """Return whether every invariant is PROVED with it."""
+        """Return whether every invariant is PROVED with this assumption."""
         return all(p.verdict == "PROVED" for p in self.proved)
 
 
 def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
-    """Return the assumption at a line if it only constrains the path from `position` to `target`."""
+    """Return the assumption at a line if it constrains only the path from `position` to `target`.
+
+    Returns None for any other assumption."""
     for module in program.modules:
         for assumption in module.assumptions:
             read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
@@ -77,11 +81,11 @@ def suggestions(
 ) -> list[Suggestion]:
     """Return weaker replacements of the assumption at a line.
 
-    They are its box or a ball about the target, and the ball alone. Empty if it is about something else. Raises
-    SolverMissing.
+    There are two replacements: the assumption's box or a ball around the target; and the ball alone. The list is empty
+    if the assumption does not constrain the path to a target. Raises SolverMissing.
 
-    A box that is inflated around its start would drift, step by step, and break every invariant about positions. So the
-    margin is added around the target."""
+    The margin is added only around the target. A box that is enlarged around its start, too, would drift from step to
+    step and break every invariant about positions."""
     old = about_way(program, line)
     if old is None:
         return []
@@ -105,14 +109,14 @@ def _up(metres: float) -> float:
 
 
 def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | CrossCheck) -> list[Proved]:
-    """Prove the program with the params of the build, since this fleet was sampled."""
+    """Prove the program with the params of its build, since the sampled fleet has these params."""
     fixed = {p.name: p.default for p in with_params(program, params).params}
     found = prove(Question(program, None, fixed), solver)
     return [Proved(v.invariant, v.verdict, closing(v) or shorten(v.reason, MOST_SAID)) for v in found]
 
 
 def _with(source: Source, span: Span, formula: str) -> decl.Program:
-    """Return the program with that formula at that place of its text."""
+    """Return the program in which the formula at `span` of the text is replaced by `formula`."""
     lines = source.text.split("\n")
     first, last = lines[span.line - 1], lines[span.end_line - 1]
     whole = f"{first[: span.column - 1]}{formula}{last[span.end_column - 1 :]}"

@@ -16,10 +16,12 @@ WORST = ("VIOLATED", "INCONCLUSIVE", "VALIDATED")
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """One validation: program and fleet, its runs, and its results.
+    """Result of one validation: program and fleet, its runs, and its verdicts.
 
-    `texts`: the assumptions as the program has them, by line; `unchecked`: lines that cannot be evaluated, with the
-    reason; `failed`: the first reason why runs did not end regularly; `start_noise` in metres and radians."""
+    `texts`: line -> assumption as the program has it.
+    `unchecked`: line and reason of each assumption that cannot be evaluated.
+    `failed`: the first reason why runs did not come to their end.
+    `start_noise`: in metres and radians."""
 
     program: str
     fleet: str
@@ -47,7 +49,7 @@ Commands = Callable[[Case], tuple[str, str]]
 
 
 def as_text(found: ValidationReport, commands: Commands) -> str:
-    """Return the text. `commands` returns the commands that run and replay a case."""
+    """Return the result as text. `commands` returns the commands that run and replay a violated case."""
     lines = [*_head(found), ""]
     for line in dict.fromkeys(v.assumption.line for v in found.verdicts):
         lines += [*_assumption(found, [v for v in found.verdicts if v.assumption.line == line], commands), ""]
@@ -191,7 +193,9 @@ def _closes(own: Sequence[Suggestion]) -> str:
 
 
 def document(found: ValidationReport, commands: Commands) -> dict[str, Any]:
-    """Return the result for JSON."""
+    """Return the result as data for JSON.
+
+    `commands` returns the commands that run and replay a violated case."""
     return {
         "format": FORMAT,
         "program": found.program,

@@ -1,13 +1,16 @@
-"""Reachsets: a platform's positions on its path to a target, as boxes over time, from samples.
+"""Reachsets: a platform's positions on its path to a target, computed from samples as boxes over time.
 
-After DryVR (sensitivity.py): paths from sampled starts cover the set of starts, and are inflated by the distance that a
-path can have from the nearest of them. The factor of this inflation is calibrated on separate samples: the least that
-keeps all of them inside at all times. So it is one threshold, and the bound of `statistics.needed` applies to whole
-paths: with confidence 1 - gamma at most a part epsilon of all paths, drawn as these were, ever leave the tube. This is
-the holdout method (E. Dietrich, R. Devonport, S. Tu, M. Arcak, "Data-Driven Reachability with Scenario Optimization and
-the Holdout Method", arXiv:2504.06541, 2025). The claim is about the simulator and the drawn starts, and is statistical.
+The method follows DryVR (sensitivity.py). Paths from sampled starts cover the set of starts. The tube around them is
+inflated by the distance that a path can have from the nearest sampled path. A factor on this inflation is calibrated on
+separate samples: it is the least factor that keeps all of these inside the tube at all times.
 
-Frame: ENU, metres, its origin at the nominal start; times in seconds since the target was commanded.
+So the factor is a single threshold, and the bound of `statistics.needed` applies to whole paths: with confidence 1 -
+gamma, at most a fraction epsilon of all paths that are drawn like the samples ever leave the tube. This is the holdout
+method (E. Dietrich, R. Devonport, S. Tu, M. Arcak, "Data-Driven Reachability with Scenario Optimization and the Holdout
+Method", arXiv:2504.06541, 2025). The claim is statistical. It is about the simulator and the drawn starts, not about
+real robots.
+
+Frame: ENU, metres, with the origin at the nominal start. Times are in seconds since the target was commanded.
 """
 
 from __future__ import annotations
@@ -26,20 +29,24 @@ from koordgen.experiment.validate.statistics import needed
 Array = NDArray[np.float64]
 FORMAT = "koord-reachset/1"
 EPSILON, GAMMA = 0.05, 0.05  # defaults of `koordgen validate`
-STEP = 0.05  # longest time of one box of the tube in seconds
-SEGMENT = 0.25  # length of the discrepancy's segments in seconds
-VELOCITY, HEADING = 1.0, 1.0  # weights in the distance of two starts: s for a velocity, m for a unit of heading
-SHOWN = 24  # paths in a reachset for pictures, evenly from those with the farthest to those with the nearest end
-SLOW = 0.05  # m/s; a robot that is faster at the end has not stopped
-MOST_BOXES = 100  # most boxes for the computation of a volume
+STEP = 0.05  # longest duration of one box of the tube, in seconds
+SEGMENT = 0.25  # length of the segments of the discrepancy function, in seconds
+# Weights in the distance of two starts: VELOCITY, in s, for velocities; HEADING, in m, for unit vectors of heading.
+VELOCITY, HEADING = 1.0, 1.0
+# Number of paths that a reachset keeps for pictures. They are spread evenly in the order of their ends' distances.
+SHOWN = 24
+SLOW = 0.05  # speed in m/s above which a robot counts as moving at the end of the observation
+MOST_BOXES = 100  # largest number of boxes for which a volume is computed; more boxes are joined
 
 
 @dataclass(frozen=True)
 class Observed:
-    """Measurements of the samples, in metres.
+    """Measurements of the samples. Distances are in metres.
 
-    `overshoot`: farthest beyond the target along the offset; `lateral`: farthest to a side of the offset; `excess`:
-    farthest out of the box between own start and target; `moving`: part of the robots that still moved at the end."""
+    `overshoot`: largest distance beyond the target, along the offset.
+    `lateral`: largest distance to a side of the offset's line.
+    `excess`: largest distance from the box between the robot's own start and the target.
+    `moving`: fraction of the robots that still moved at the end."""
 
     overshoot: float
     lateral: float
@@ -49,13 +56,18 @@ class Observed:
 
 @dataclass(frozen=True, eq=False)
 class Reachset:
-    """Tube of boxes.
+    """Reachset: a tube of J boxes over time.
 
-    While edges[k] <= t <= edges[k + 1] the robot is between lower[k] and upper[k] (J, 3); seen from above, between
-    ahead[k] (J, 2) along the offset and aside[k] (J, 2) to the left of it. `samples`: numbers of samples for learning,
-    calibration and check. `covered`: part of the last ones that never left the tube; `pairs_covered`: part of them for
-    which the sensitivity held. `inflated`: calibrated factor on the sensitivity's radius. `ways` (w, J + 1, 3): some
-    samples at the edges."""
+    While edges[k] <= t <= edges[k + 1], the robot is in the box from lower[k] to upper[k].
+
+    `lower`, `upper` (J, 3): corners of the boxes.
+    `ahead` (J, 2): the same motion seen from above: least and greatest position along the offset.
+    `aside` (J, 2): seen from above: least and greatest position to the left of the offset.
+    `samples`: numbers of samples for learning, for calibration and for the check.
+    `covered`: fraction of the samples for the check that never left the tube.
+    `pairs_covered`: fraction of the samples for the check for which the discrepancy function's bound held.
+    `inflated`: calibrated factor on the inflation radius.
+    `ways` (w, J + 1, 3): the positions of some samples at the edges."""
 
     platform: str
     target: str
@@ -81,17 +93,20 @@ class Reachset:
 
     @property
     def overshoot(self) -> float:
-        """Return how far the tube extends beyond the target, along the offset in x and y (m); below 0: it ends
-        before."""
+        """Return the distance in metres by which the tube extends beyond the target, in x and y.
+
+        The distance is measured along the offset. It is negative if the tube ends before the target."""
         return float(self.ahead.max() - math.hypot(*self.offset[:2]))
 
     @property
     def lateral(self) -> float:
-        """Return how far the tube extends to a side of the offset's line, in x and y (m)."""
+        """Return the largest distance in metres of the tube from the offset's line, in x and y."""
         return float(np.abs(self.aside).max())
 
     def json(self) -> dict[str, Any]:
-        """Return the format of docs/reference/validate.md, with numbers rounded to a tenth of a millimetre."""
+        """Return the reachset as JSON (docs/reference/validate.md).
+
+        Numbers are rounded to a tenth of a millimetre."""
         found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
         found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
         own = self.sensitivity
@@ -109,7 +124,7 @@ def _listed(values: Array) -> list[float]:
 
 
 def from_json(value: dict[str, Any]) -> Reachset:
-    """Return a reachset from its JSON. Raises ValueError if it is none."""
+    """Return a reachset from its JSON. Raises ValueError if the value is not a reachset."""
     try:
         if value["format"] != FORMAT:
             raise ValueError(f"its format is {value['format']!r}, not {FORMAT!r}")
@@ -129,14 +144,16 @@ def from_json(value: dict[str, Any]) -> Reachset:
 
 
 def features(starts: Array) -> Array:
-    """Map starts (n, 7) to points (n, 8): position, velocity, and heading as a unit vector, in m."""
+    """Map starts (n, 7) to points (n, 8) whose Euclidean distance is the distance of starts.
+
+    The coordinates are position (m), weighted velocity, and heading as a weighted unit vector."""
     yaw = starts[:, 6:7]
     return np.hstack([starts[:, :3], VELOCITY * starts[:, 3:6], HEADING * np.cos(yaw), HEADING * np.sin(yaw)])
 
 
 @dataclass(frozen=True, eq=False)
 class Tube:
-    """Result of learning from paths: boxes (J, a) between `edges`, and their quality."""
+    """Tube that was learned from paths: boxes (J, a) between `edges`, and how well they cover new paths."""
 
     edges: Array
     lower: Array
@@ -148,10 +165,15 @@ class Tube:
 
 
 def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
-    """Learn a tube from `ways` (n, T, d) at evenly spaced `times` (T,) with starts (n, f).
+    """Learn a tube from paths.
 
-    The first part is for learning, the next `each` for calibration, the last `each` for the check. Boxes last `step`
-    seconds, and extend along `axes` (d, a), unit vectors. Raises ValueError."""
+    `ways` (n, T, d): the paths at evenly spaced `times` (T,).
+    `starts` (n, f): the starts of the paths.
+    `each`: the last `each` paths are for the check, the `each` paths before them for calibration, all others for
+        learning.
+    `step`: duration of a box in seconds.
+    `axes` (d, a): unit vectors along which boxes extend.
+    Raises ValueError if there are too few paths."""
     first = len(ways) - 2 * each
     if first < 2:
         raise ValueError(f"{len(ways)} samples; with {each} to calibrate and {each} to check there must be more")
@@ -172,15 +194,15 @@ def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes:
 
 
 def _pairs(ways: Array, starts: Array, centres: Array, at: Array) -> tuple[Array, Array]:
-    """Pair each path with that of `centres` with the closest start.
+    """Pair each path with the path in `centres` whose start is nearest.
 
-    Return their distances over time, and at the start."""
+    Return the distances of each pair over time, and the distances of their starts."""
     which, away = nearest(starts, at)
     return np.linalg.norm(ways - centres[which], axis=2), away
 
 
 def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, Array, Array]:
-    """Return the hull of [low, high] (T, d) over all times of each step."""
+    """Return for each step the smallest box that contains [low, high] (T, d) at all times of the step."""
     stride = max(1, round(step / (times[1] - times[0])))
     first = np.arange(0, len(times) - 1, stride)
     last = np.minimum(first + stride, len(times) - 1)
@@ -212,7 +234,7 @@ def reachset_of(samples: Samples, epsilon: float = EPSILON, gamma: float = GAMMA
 
 
 def above(offset: Vector) -> tuple[Array, Array]:
-    """Return unit vectors in x and y, along the offset and to the left of it."""
+    """Return two unit vectors in x and y: along the offset, and to the left of it."""
     x, y = np.array(offset[:2]) / math.hypot(*offset[:2])
     return np.array([x, y, 0.0]), np.array([-y, x, 0.0])
 
@@ -231,10 +253,13 @@ def _observed(samples: Samples) -> Observed:
 
 @dataclass(frozen=True)
 class Figures:
-    """Sizes of one reachset in m, m^2 and m^3.
+    """Sizes of one reachset, in m, m^2 and m^3.
 
-    They are those of the union of its boxes, over the window of one delta in which it is largest and over the whole
-    move; the distance beyond the target, and to a side."""
+    `area_delta`, `volume_delta`: sizes of the union of the boxes during one delta, for the delta with the largest
+        union.
+    `area`, `volume`: sizes of the union of all boxes.
+    `overshoot`: distance beyond the target.
+    `lateral`: distance to a side of the offset's line."""
 
     area_delta: float
     area: float
@@ -246,7 +271,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two platforms on their paths to the same relative offset."""
+    """Comparison of two platforms that move to a target at the same offset."""
 
     platforms: tuple[str, str]
     offset: Vector
@@ -293,13 +318,15 @@ def compare(a: Reachset, b: Reachset) -> Comparison:
 
 
 def _fewer(lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Join consecutive boxes by their hulls, so that at most MOST_BOXES remain."""
+    """Replace consecutive boxes by the smallest box that contains them, so that at most MOST_BOXES remain."""
     cuts = np.arange(0, len(lower), math.ceil(len(lower) / MOST_BOXES))
     return np.minimum.reduceat(lower, cuts), np.maximum.reduceat(upper, cuts)
 
 
 def union(lower: Array, upper: Array) -> float:
-    """Return the measure of a union of boxes (J, d), computed on the grid of all their faces."""
+    """Return the measure (area or volume) of a union of boxes (J, d).
+
+    It is computed on the grid of all faces of the boxes."""
     faces = [np.unique(np.concatenate([lower[:, k], upper[:, k]])) for k in range(lower.shape[1])]
     filled = np.zeros([len(f) - 1 for f in faces], dtype=bool)
     for low, high in zip(lower, upper, strict=True):

@@ -1,4 +1,4 @@
-"""Verdicts about each assumption on each platform, from the samples."""
+"""Verdicts about each assumption on each platform, computed from the samples."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Name = Literal["VALIDATED", "VIOLATED", "INCONCLUSIVE"]
 
 @dataclass(frozen=True)
 class ProbabilityBound:
-    """Claim to validate: with confidence 1 - gamma a run violates with a probability below epsilon."""
+    """Claim to validate: with confidence 1 - gamma, a run violates with a probability below epsilon."""
 
     epsilon: float
     gamma: float
@@ -39,7 +39,10 @@ class ProbabilityBound:
 
 @dataclass(frozen=True)
 class Case:
-    """A violated window that can be run again: its run, seed, robot and time (s since round 1)."""
+    """A violated window that can be run again.
+
+    `run`, `seed`, `robot`: the run, its seed, and the robot.
+    `at`: the window's start, in seconds since round 1."""
 
     run: int
     seed: int
@@ -50,7 +53,7 @@ class Case:
 
 @dataclass(frozen=True)
 class RobotSummary:
-    """One robot over all samples: violated runs, judged and violated windows."""
+    """Summary of one robot over all samples: violated runs, judged windows and violated windows."""
 
     name: str
     runs: int
@@ -62,11 +65,15 @@ class RobotSummary:
 class AssumptionVerdict:
     """Verdict about one assumption on one platform.
 
-    `runs`: samples in which it was judged; `violated`: those in which it was violated; `interval`: that of the
-    probability that a run violates it; `windows` and `violated_windows`: sums over all samples. `worst`: the farthest
-    breach, or the first violation. `epsilon`: the bound that this many runs without a violation would show; `wanted`:
-    number of further runs needed. By kind of breach: violated windows, and distances outside of the box in metres, in
-    one window (`farthest`) and in consecutive windows (`together`)."""
+    `runs`: number of samples in which the assumption was judged.
+    `violated`: number of samples in which it was violated.
+    `interval`: confidence interval of the probability that a run violates it.
+    `windows`, `violated_windows`: sums over all samples.
+    `worst`: the farthest breach, or the first violation.
+    `epsilon`: the bound that this number of runs without a violation would show.
+    `wanted`: number of further runs that are needed.
+    `farthest`: kind of breach -> largest distance from the box in one window, in metres.
+    `together`: kind of breach -> largest sum over consecutive windows, in metres."""
 
     assumption: SampledAssumption
     platform: str
@@ -88,10 +95,10 @@ class AssumptionVerdict:
 
 
 def verdicts(samples: Sequence[RunSample], unfinished: int, bound: ProbabilityBound) -> list[AssumptionVerdict]:
-    """Return the verdicts by assumption, then platform, in the order of program and fleet.
+    """Return the verdicts, ordered by assumption and then by platform, as in the program and the fleet.
 
-    `unfinished`: number of started runs without a sample. Empty without samples, since then not even the platforms are
-    known."""
+    `unfinished`: number of runs that were started but have no sample. Without any sample the list is empty, since then
+        not even the platforms are known."""
     if not samples:
         return []
     platforms = dict.fromkeys(samples[0].platforms)

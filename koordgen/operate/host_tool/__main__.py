@@ -1,4 +1,7 @@
-"""Command line of the tool: `python3 TOOL.pyz --folder FOLDER session|guardian NONCE|supervise ROBOT|launch ROBOT`."""
+"""Command line of the robot-side tool.
+
+`python3 TOOL.pyz --folder FOLDER session|guardian NONCE|supervise ROBOT|launch ROBOT`
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,13 @@ from pathlib import Path
 from .deployment import Boot, Deployment
 from .folder import Folder, ToolError
 
-_SURROUNDINGS = 5  # exit status of agents that may be started again
+_SURROUNDINGS = 5  # exit status after an OSError; the supervisor or systemd starts such a process again
 _IDLE = 30.0  # seconds without a request after which a session ends
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 def main() -> int:
-    """Run the tool as its command line says; returns the exit status."""
+    """Run the tool with the arguments of its command line; return the exit status."""
     parser = argparse.ArgumentParser(description="Robot-side tool of koordgen's deployments.", allow_abbrev=False)
     parser.add_argument(
         "--folder", type=Path, required=True, help="folder of the fleet, absolute or in the home folder"
@@ -30,7 +33,8 @@ def main() -> int:
     arguments = parser.parse_args()
     folder = Folder((Path.home() / arguments.folder).resolve())
     boot = Boot(arguments.boot_id)
-    # Python compiles what it imports from an archive anew at each start, so each verb loads only its own modules.
+    # Python caches no compiled modules of an archive and compiles them at each start. To start sooner, each verb
+    # imports only the modules that it needs.
     if arguments.verb == "session":
         from . import session
 

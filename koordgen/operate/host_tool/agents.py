@@ -1,7 +1,7 @@
-"""Agents of this folder: which of them run, and how one is launched so that this is known for certain.
+"""Launch of agents, and detection of the agents that run on this host.
 
-An agent that the tool launched holds the lock of `running/<robot>.lock` as long as its process lives. An agent that
-somebody started by hand is found by its control port, which is then in use on this host.
+An agent that the tool launched holds the lock of `running/<robot>.lock` until its process ends. An agent that was
+started by hand is detected by its control port, which is then in use on this host.
 """
 
 from __future__ import annotations
@@ -21,11 +21,16 @@ from .folder import Folder, ToolError, checked_robot, make_folder, read_json
 from .lock import deciding, is_locked, try_lock
 from .releases import Release
 
-_TIME_FOR_STATUS = 30.0  # seconds for a bundle's --status, which waits 2 s for an answer
+_TIME_FOR_STATUS = 30.0  # seconds after which a bundle's --status is ended; it waits 2 s for the agent's answer
 
 
 class Found(NamedTuple):
-    """One robot's agent. `phase` is None when nothing answers at its control port, `pid` when it is not known."""
+    """State of one robot's agent.
+
+    running: whether an agent of the robot runs.
+    phase: phase that it reports; None if nothing answers at its control port.
+    pid: its process id; None if unknown.
+    """
 
     running: bool
     phase: str | None
@@ -36,12 +41,15 @@ NOT_RUNNING = Found(False, None, None)
 
 
 def lock_file(folder: Folder, robot: str) -> Path:
-    """Lock that a robot's agent holds as long as it lives; it holds the agent's process id as a text."""
+    """Return the lock file that a robot's agent holds until it ends.
+
+    It contains the agent's process id as text.
+    """
     return folder.running / f"{checked_robot(robot)}.lock"
 
 
 def supervisor_lock(folder: Folder, robot: str) -> Path:
-    """Lock that the supervisor of a robot's agent holds, where no service manager runs the agents."""
+    """Return the lock file that the supervisor of a robot's agent holds, on hosts without systemd."""
     return folder.running / f"{checked_robot(robot)}.supervisor"
 
 
@@ -52,7 +60,7 @@ def write_pid(file: int) -> None:
 
 
 def pid_in(path: Path) -> int | None:
-    """Return the id of the process that holds a lock file."""
+    """Return the id of the process that holds a lock file; None if no process holds it."""
     with suppress(OSError, ValueError):
         if is_locked(path):
             return int(path.read_text())
@@ -60,9 +68,9 @@ def pid_in(path: Path) -> int | None:
 
 
 def look(folder: Folder, known: Sequence[Release], ask: bool = True) -> dict[str, Found]:
-    """Return robot -> its agent, for all robots of the `known` releases and all that have a lock file here.
+    """Return the states of agents, for all robots of the releases `known` or with a lock file here.
 
-    `ask`: for the phase as well, through the first of the releases that has the robot.
+    ask: request the phase from the agent as well, with the bundle in the first release that has the robot.
     """
     of_release: dict[str, Release] = {}
     for release in known:
@@ -83,7 +91,7 @@ def look(folder: Folder, known: Sequence[Release], ask: bool = True) -> dict[str
 
 
 def check_none_runs(folder: Folder, known: Sequence[Release]) -> None:
-    """Raises ToolError "in flight" that names the robots whose agents run, and their phases."""
+    """Raise ToolError "in flight" if agents run; the message names the robots and their phases."""
     running = {robot: found for robot, found in look(folder, known).items() if found.running}
     if running:
         named = ", ".join(
@@ -114,7 +122,7 @@ def _ask(folder: Folder, release: Release | None, robot: str, ask: bool) -> Foun
 
 
 def _has_control_port(folder: Folder, release: Release | None, robot: str, used: Iterable[tuple[str, int]]) -> bool:
-    """Return whether a process of this host has the control port of a robot."""
+    """Return whether a process on this host has a UDP socket at a robot's control port."""
     place = control_place(folder, release, robot) if release is not None else None
     if place is None:
         return False
@@ -123,9 +131,11 @@ def _has_control_port(folder: Folder, release: Release | None, robot: str, used:
 
 
 def control_place(folder: Folder, release: Release, robot: str) -> tuple[str, int] | None:
-    """Return address and UDP port at which a robot takes orders, the address empty when it is a host's name.
+    """Return the address and UDP port of a robot's control port.
 
-    The rule is that of `Settings.control_port` of the bundle's runtime.
+    The address is empty if it is a host name.
+
+    The port is chosen as by `Settings.control_port` in the bundle's runtime.
     """
     settings = read_json(folder.bundle(release.id, robot) / "settings.json")
     try:
@@ -141,7 +151,7 @@ def control_place(folder: Folder, release: Release, robot: str) -> tuple[str, in
 
 
 def _used_udp() -> set[tuple[str, int]]:
-    """Return address and port of all UDP sockets of this host, read from the kernel's tables."""
+    """Return the address and port of each UDP socket of this host, from the kernel's tables."""
     used = set()
     for name in ("udp", "udp6"):
         with suppress(OSError):
@@ -153,13 +163,13 @@ def _used_udp() -> set[tuple[str, int]]:
 
 
 def launch(folder: Folder, deployment: Deployment, robot: str) -> None:
-    """Become the agent of `robot` in the release that may run. Returns never; raises ToolError.
+    """Replace this process by the agent of `robot`, in the release that may run. Raises ToolError.
 
-    The lock file stays open over exec, so the agent's process holds its lock until it ends.
+    The lock file stays open across exec, so the agent's process holds the lock until it ends.
     """
     path = lock_file(folder, robot)
     with deciding(folder):
-        with suppress(OSError):  # a full or read-only disk keeps no confirmed release from running
+        with suppress(OSError):  # a confirmed release must run even if the disk is full or read-only
             deployment.repair()
         release = releases.read_release(folder, deployment.runnable())
         if robot not in release.robots:

@@ -1,7 +1,8 @@
-"""Decisions about releases: which one is confirmed, which one waits for its confirmation and until when.
+"""Deployment state of a host: the confirmed release, and the pending one with its deadline.
 
-`deployment.json` is replaced as a whole. A release that is not confirmed in time counts as never switched to, whether
-or not a process is left to write that down: `current` and `deployment.json` are repaired by whoever looks next.
+The state is stored in `deployment.json`, which is replaced atomically. A pending release that is not confirmed before
+its deadline is void. No process needs to run at the deadline: the next process that uses the state repairs it, and the
+link `current` with it.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from typing import Any
 from . import releases
 from .folder import Folder, ToolError, checked_release, read_json, sync_folder, write_json
 
-_KEPT = 3  # releases
+_KEPT = 3  # number of confirmed releases that a host keeps, for rollback
 
 
 class Boot:
-    """Clock of the host that goes on while it sleeps, and the id of its present boot."""
+    """Clock of the host, which continues while the host is suspended, and the id of the present boot."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
@@ -30,12 +31,12 @@ class Boot:
         return self.file.read_text(encoding="ascii").strip()
 
     def now(self) -> float:
-        """Seconds since this boot."""
+        """Return the seconds since this boot, including suspended time."""
         return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Deployment:
-    """State of the deployments in one folder. Call every method but `read` inside `lock.deciding`."""
+    """Deployment state of one folder. Call every method except `read` inside `lock.deciding`."""
 
     def __init__(self, folder: Folder, boot: Boot) -> None:
         self._folder = folder
@@ -62,7 +63,7 @@ class Deployment:
         return bool(pending["boot"] != self._boot.id() or self._boot.now() >= pending["deadline"])
 
     def runnable(self) -> str:
-        """Return the release that may start. Raises ToolError while another one waits, or when there is none."""
+        """Return the confirmed release. Raises ToolError while another release is pending, or without any."""
         state = self.read()
         pending, confirmed = state["pending"], state["confirmed"]
         if pending is not None and not self.has_expired(pending):
@@ -78,7 +79,7 @@ class Deployment:
         return str(confirmed)
 
     def repair(self) -> None:
-        """Return from a pending release that has expired, and make `current` name the release that counts."""
+        """Revert a pending release that has expired, and make the link `current` name the confirmed release."""
         state = self.read()
         pending = state["pending"]
         if pending is not None and self.has_expired(pending):
@@ -87,9 +88,10 @@ class Deployment:
             self._link(state["confirmed"])
 
     def switch(self, release: str, seconds: float, check: Callable[[], None]) -> str:
-        """Make `release` the pending one for `seconds`. `check` raises when the robots must not be touched now.
+        """Make `release` the pending release for `seconds`; return the nonce that identifies this switch.
 
-        A session that holds the lock may replace the pending release of a session that is gone. Returns the nonce.
+        check: called before any change; raises an exception if the robots must not be changed now, because agents run.
+        A pending release of an earlier session, which no longer holds the folder's lock, is replaced.
         """
         releases.read_release(self._folder, release, candidate=True)
         check()
@@ -112,7 +114,10 @@ class Deployment:
         return nonce
 
     def prepare(self, release: str) -> None:
-        """First phase: this host could confirm. The deadline moves once, by as long as was given at the switch."""
+        """Phase one: check that this host can confirm `release`, and record that.
+
+        The first call extends the deadline by the time that was given at the switch.
+        """
         state, pending = self._pending(release)
         releases.read_release(self._folder, release, candidate=True)
         if not pending["prepared"]:
@@ -121,7 +126,7 @@ class Deployment:
                 self._write(state | {"pending": pending | {"prepared": True, "deadline": deadline}})
 
     def confirm(self, release: str) -> None:
-        """Second phase: `release` is the one that runs from now on. Confirming it twice is the same as once."""
+        """Phase two: make `release` the confirmed release. A second call has no effect."""
         state = self.read()
         if state["pending"] is None and state["confirmed"] == checked_release(release):
             return
@@ -132,11 +137,11 @@ class Deployment:
         with self._folder.room():
             releases.accept(self._folder, release)
             self._write({"confirmed": release, "history": history[-_KEPT:], "pending": None})
-        with suppress(OSError, ToolError):  # the decision stands; what is left here is removed next time
+        with suppress(OSError, ToolError):  # the release is confirmed; files that remain are removed the next time
             releases.prune(self._folder, history[-_KEPT:])
 
     def revert(self, release: str) -> bool:
-        """Return to the release before `release`; returns whether there was anything to do."""
+        """Revert the pending release `release`; return whether it was pending."""
         state = self.read()
         pending = state["pending"]
         if pending is not None and pending["id"] == checked_release(release):
@@ -159,7 +164,10 @@ class Deployment:
         return state, pending
 
     def _return(self, state: dict[str, Any]) -> None:
-        """The link first: a release whose link is gone can no longer be confirmed."""
+        """Revert the pending release.
+
+        The link `current` is changed first, because `confirm` refuses a release that `current` does not name.
+        """
         self._link(state["confirmed"])
         self._write(state | {"pending": None})
 
@@ -167,7 +175,7 @@ class Deployment:
         write_json(self._folder.deployment, state)
 
     def _link(self, release: str | None) -> None:
-        """Make `current` name a release by one rename."""
+        """Make the link `current` name a release, or remove the link; the change is one atomic rename."""
         path = self._folder.current
         if self.current() == release:
             return

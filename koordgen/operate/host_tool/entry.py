@@ -1,4 +1,4 @@
-"""Command with which the tool starts itself again as another process."""
+"""Command line with which the tool starts itself as another process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from .folder import Folder
 
 
 def command(folder: Folder, boot: Boot, *arguments: str) -> list[str]:
-    """Return the command of this very tool on the same folder. Without site packages, which it does not need, it starts
-    sooner."""
+    """Return the command that runs this tool with other arguments on the same folder.
+
+    Python's site packages are disabled, because the tool does not need them and starts sooner without them.
+    """
     options = ["--folder", str(folder.root), "--boot-id", str(boot.file)]
     return [sys.executable, "-IS", os.path.abspath(sys.argv[0]), *options, *arguments]

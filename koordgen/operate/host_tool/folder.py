@@ -1,4 +1,4 @@
-"""Folder of one fleet on one host: its layout, writes that are complete or absent, and its errors."""
+"""Folder of one fleet on one host: layout, atomic writes, checks of names, and the tool's exception."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from hashlib import blake2s, sha256
 from pathlib import Path
 from typing import Any
 
-RESERVE = 64 * 1024 * 1024  # bytes that stay free on the disk
-SMALL = 1024 * 1024  # bytes that small files of one request take at most
-PIECE = 1024 * 1024  # bytes read at once
+RESERVE = 64 * 1024 * 1024  # bytes of the disk that a deployment leaves free
+SMALL = 1024 * 1024  # bytes that must be free for a request that writes only small files
+PIECE = 1024 * 1024  # bytes that are read at once
 
 _ROBOT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _RELEASE = re.compile(r"[0-9a-f]{16}")
@@ -26,7 +26,12 @@ _PART = re.compile(r"[A-Za-z0-9_.@+,=-][A-Za-z0-9_.@+,= -]{0,254}")
 
 
 class ToolError(Exception):
-    """Request that the tool refuses. `code` is for programs, `message` and `help` are for people."""
+    """The tool refuses a request.
+
+    code: identifies the error for programs.
+    message: describes the error for users.
+    help: tells users what to do.
+    """
 
     def __init__(self, code: str, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -83,12 +88,15 @@ class Folder:
         return self.logs / f"{checked_robot(robot)}.log"
 
     def free(self) -> int:
-        """Bytes that this user may still write."""
+        """Return the number of bytes that this user may still write to the disk."""
         return shutil.disk_usage(self.root).free
 
     @contextmanager
     def room(self, needed: int = SMALL) -> Iterator[None]:
-        """Refuse a block of work that writes up to `needed` bytes when they are not free, before or amid it."""
+        """Context manager for writing up to `needed` bytes. Raises ToolError "no space".
+
+        The error is raised before the block if the bytes are not free, or when the disk becomes full during the block.
+        """
 
         def full() -> ToolError:
             free = self.free()
@@ -109,7 +117,7 @@ class Folder:
 
 
 def checked(pattern: re.Pattern[str], value: Any, rule: str) -> str:
-    """Return `value` if it is a text that matches `pattern` as a whole; else refuse it with the rule it breaks."""
+    """Return `value` if it is a string that matches `pattern`; else raise ToolError with the text `rule`."""
     if not isinstance(value, str) or not pattern.fullmatch(value):
         raise ToolError("bad request", f"{value!r}: {rule}")
     return value
@@ -130,7 +138,7 @@ def checked_sha256(digest: Any) -> str:
 
 
 def checked_path(path: Any) -> str:
-    """Return a relative path that stays inside the folder it is joined to, as it was given."""
+    """Return `path` if it is a relative path that does not leave a folder; else raise ToolError."""
     parts = path.split("/") if isinstance(path, str) else []
     if not parts or len(path) > 1000 or not all(_PART.fullmatch(p) and p not in (".", "..") for p in parts):
         raise ToolError("bad request", f"{path!r}: not a relative path inside a bundle")
@@ -138,12 +146,12 @@ def checked_path(path: Any) -> str:
 
 
 def key_id(key: bytes) -> str:
-    """Name of a key. It reveals nothing about the key."""
+    """Return the id of a key, a hash that does not reveal the key."""
     return blake2s(key, person=b"koordgen", digest_size=8).hexdigest()
 
 
 def sha256_of(path: Path) -> str | None:
-    """SHA-256 of a regular file's content, None when there is no such file or it cannot be read."""
+    """Return the SHA-256 of a regular file's content; None if the file is missing or cannot be read."""
     digest = sha256()
     try:
         with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC), "rb") as file:
@@ -155,7 +163,7 @@ def sha256_of(path: Path) -> str | None:
 
 
 def make_folder(path: Path, mode: int = 0o755) -> None:
-    """Make a folder and those above it, and sync their entries to the disk."""
+    """Make a folder and its missing parents, and sync their directory entries to the disk."""
     if path.is_dir():
         return
     make_folder(path.parent)
@@ -173,7 +181,7 @@ def sync_folder(path: Path) -> None:
 
 
 def write_file(path: Path, content: bytes, mode: int = 0o644) -> None:
-    """Write a file that holds either its old content or all of `content`, even after a loss of power."""
+    """Replace a file atomically: even after a loss of power it has its old content or all of `content`."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, mode), "wb") as file:
@@ -194,7 +202,7 @@ def write_json(path: Path, value: Any, mode: int = 0o644) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Content of a JSON file, None when it is missing or damaged."""
+    """Return the content of a JSON file; None if it is missing or damaged."""
     try:
         return json.loads(path.read_bytes())
     except (OSError, ValueError):
@@ -202,7 +210,7 @@ def read_json(path: Path) -> Any:
 
 
 def remove_tree(path: Path) -> None:
-    """Remove a folder or a file as far as possible."""
+    """Remove a folder or a file; errors are ignored."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:

@@ -1,4 +1,4 @@
-"""Guardian of a pending release: a process of its own that returns to the old release when the time is over."""
+"""Guardian of a pending release: a separate process that reverts the release at its deadline."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from .entry import command
 from .folder import Folder, ToolError
 from .lock import deciding
 
-_LONGEST_SLEEP = 1.0  # seconds; the host may have slept meanwhile, and a confirmed release needs no guardian
-_RETRY = 5.0  # seconds between two tries to return, where the disk is full
+# Seconds between two looks at the deadline. A single long sleep would not count the time while the host is suspended,
+# and the guardian should end soon after the release was confirmed.
+_LONGEST_SLEEP = 1.0
+_RETRY = 5.0  # seconds between two attempts to revert, for example while the disk is full
 
 
 def start(folder: Folder, boot: Boot, nonce: str) -> None:
-    """Start the guardian of the switch that has this nonce, detached from the session."""
+    """Start a guardian for the switch with this nonce, as a process that outlives the session."""
     subprocess.Popen(
         command(folder, boot, "guardian", nonce),
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -25,7 +27,10 @@ def start(folder: Folder, boot: Boot, nonce: str) -> None:
 
 
 def guard(folder: Folder, boot: Boot, nonce: str) -> int:
-    """Wait until the switch was confirmed or reverted, or until its time is over and it is reverted here."""
+    """Wait until the switch is confirmed or reverted, and revert it after its deadline.
+
+    Return exit status 0.
+    """
     deployment = Deployment(folder, boot)
     while True:
         pending = deployment.read()["pending"]

@@ -17,7 +17,7 @@ from .lock import locked_by
 
 
 def inspect(folder: Folder, boot: Boot, deployment: Deployment) -> dict[str, Any]:
-    """Return all that the deploying side wants to know before it changes anything."""
+    """Return the state of this host, which the operator's computer checks before it changes anything."""
     state = deployment.read()
     pending = state["pending"]
     found = agents.look(folder, releases.readable(folder, (state["confirmed"], pending and pending["id"])))
@@ -48,7 +48,10 @@ def inspect(folder: Folder, boot: Boot, deployment: Deployment) -> dict[str, Any
 
 
 def machine() -> str:
-    """Return the processor for which wheels must be: a 32-bit Python on a 64-bit kernel needs 32-bit wheels."""
+    """Return the processor architecture of the wheels that this Python needs.
+
+    It differs from the kernel's architecture for a 32-bit Python on a 64-bit kernel.
+    """
     name = os.uname().machine
     if sys.maxsize > 2**32:
         return name
@@ -64,7 +67,10 @@ def libc() -> list[str]:
 
 
 def temperature() -> float | None:
-    """Return the temperature of the hottest thermal zone in degrees Celsius, None where the kernel names none."""
+    """Return the temperature of the hottest thermal zone in degrees Celsius.
+
+    None if the kernel reports none.
+    """
     found = []
     for path in Path("/sys/class/thermal").glob("thermal_zone*/temp"):
         with suppress(OSError, ValueError):

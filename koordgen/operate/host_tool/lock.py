@@ -1,6 +1,8 @@
-"""Locks of the folder: one session at a time may change it, and each of its decisions is one critical section.
+"""Locks of the folder.
 
-All locks are flock(2) on open files, so the kernel releases them when their process ends, however it ends.
+The session lock lets only one session at a time change the folder. `deciding` is the critical section for changes of
+`deployment.json` and starts of agents. All locks are flock(2) on open files, so the kernel releases a lock when its
+process ends, even if the process is killed.
 """
 
 from __future__ import annotations
@@ -15,12 +17,15 @@ from typing import Any
 
 from .folder import Folder, ToolError, read_json, write_json
 
-_PATIENCE = 60.0  # seconds that a process waits for a critical section of another process
-_PROBED = 0.3  # seconds; a process that only looks at a lock holds it for microseconds
+_PATIENCE = 60.0  # seconds to wait until another process leaves the critical section
+_PROBED = 0.3  # seconds to retry a lock, because `is_locked` of another process may hold it for some microseconds
 
 
 def try_lock(path: Path, patience: float = _PROBED) -> int | None:
-    """Return an open file that holds the lock of `path` until it is closed, None when another process holds it."""
+    """Lock `path` and return the open file, which holds the lock until it is closed.
+
+    Returns None if another process still holds the lock after `patience` seconds.
+    """
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     end = time.monotonic() + patience
     try:
@@ -57,7 +62,7 @@ def is_locked(path: Path) -> bool:
 
 @contextmanager
 def deciding(folder: Folder) -> Iterator[None]:
-    """Critical section around each reading and change of `deployment.json`, and around each start of an agent."""
+    """Critical section for changes of `deployment.json` and starts of agents. Raises ToolError "busy"."""
     file = try_lock(folder.deployment_lock, _PATIENCE)
     if file is None:
         raise ToolError("busy", f"another process has worked in {folder.root} for {_PATIENCE:.0f} s", "try again")
@@ -68,7 +73,7 @@ def deciding(folder: Folder) -> Iterator[None]:
 
 
 class SessionLock:
-    """Lock of one session on the whole folder. `lock.json` names its owner for others."""
+    """Lock of one session on the whole folder. The file `lock.json` names its owner for messages."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
@@ -79,7 +84,7 @@ class SessionLock:
         return self._file is not None
 
     def take(self, owner: str, what: str) -> None:
-        """Raises ToolError "locked" that names the present owner and the lock's age."""
+        """Acquire the lock. Raises ToolError "locked", which names the present owner and the lock's age."""
         if self._file is None:
             self._file = try_lock(self._folder.lock)
         if self._file is None:

@@ -1,4 +1,4 @@
-"""Log files of agents, bounded in size, and what is read from a host: log lines, traces, pieces of files."""
+"""Log files of agents, which are bounded in size, and reading of log lines and trace files."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from typing import Any, TextIO
 
 from .folder import Folder, ToolError, checked_path
 
-_PART = 4_000_000  # bytes after which a log file is set aside
-_PARTS = 4  # files of one robot's log
-_LONGEST = 4000  # characters of a line
-MOST_LINES = 5000  # in one answer
-_MOST_BYTES = 16 * 1024 * 1024  # in one answer
+_PART = 4_000_000  # size in bytes at which a log file is rotated
+_PARTS = 4  # number of files that one robot's log has at most; the oldest one is deleted
+_LONGEST = 4000  # characters after which a line is cut
+MOST_LINES = 5000  # largest number of log lines in one answer
+_MOST_BYTES = 16 * 1024 * 1024  # largest number of a trace file's bytes in one answer
 
 Line = tuple[float, str]
 
 
 class Log:
-    """Log of one robot: each line begins with its Unix time, which increases. A full disk costs lines, nothing else."""
+    """Log of one robot. Each line begins with its Unix time; times increase.
+
+    If the disk is full, lines are lost, and their number is logged later. No exception is raised.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -73,13 +76,15 @@ def read_log(path: Path) -> Iterator[Line]:
         with suppress(FileNotFoundError), _part(path, number).open(encoding="utf-8", errors="replace") as file:
             for line in file:
                 stamp, _, text = line.rstrip("\n").partition(" ")
-                with suppress(ValueError):  # a line that a full disk cut
+                with suppress(ValueError):  # skip a line without its time, cut because the disk was full
                     yield float(stamp), text
 
 
 def selected(lines: Iterable[Line], most: int, since: float | None) -> dict[str, Any]:
-    """Return at most `most` lines: the oldest after Unix time `since`, or the last ones without it. `next` is the
-    `since` that asks for the lines after them."""
+    """Return up to `most` log lines: the first ones after Unix time `since`, or the last ones if None.
+
+    `next` in the result is the value of `since` that requests the lines that follow.
+    """
     most = max(0, min(most, MOST_LINES))
     if since is None:
         found = list(deque(lines, most))
@@ -89,7 +94,7 @@ def selected(lines: Iterable[Line], most: int, since: float | None) -> dict[str,
 
 
 def traces(folder: Folder, robot: Any) -> list[dict[str, Any]]:
-    """Return name, size in bytes and Unix time of the last change of each trace file of a robot."""
+    """Return the name, the size in bytes and the Unix time of the last change of a robot's trace files."""
     place, listed = folder.trace_folder(robot), []
     for path in sorted(place.iterdir()) if place.is_dir() else []:
         with suppress(OSError):
@@ -100,16 +105,21 @@ def traces(folder: Folder, robot: Any) -> list[dict[str, Any]]:
 
 
 class Fetching:
-    """Pieces of one file after another. A file that is renamed meanwhile is read on from where it is now."""
+    """Reader of trace files in pieces.
+
+    It keeps a file open between pieces, so it can be renamed meanwhile.
+    """
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._next: tuple[Path, int] | None = None  # the file that is open, and the offset after the last part
+        self._next: tuple[Path, int] | None = None  # the open file, and the offset after the last piece
         self._file = -1
 
     def fetch(self, robot: Any, name: Any, offset: int, length: int) -> bytes:
-        """Return up to `length` bytes of a trace file of a robot. A part that does not follow the one before opens the
-        file anew."""
+        """Return up to `length` bytes of a robot's trace file, from `offset` on.
+
+        The file is opened again unless the request continues the previous one.
+        """
         place = self._folder.trace_folder(robot)
         path = place / checked_path(name)
         if path.parent != place or offset < 0 or length < 0:

@@ -1,4 +1,4 @@
-"""Content store: each file of every bundle once, named by its SHA-256, and the wheels of packages."""
+"""Content store: the distinct files of all bundles, named by their SHA-256, and wheels of packages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _READ_ONLY = 0o444
 
 
 def missing(folder: Folder, objects: Sequence[str], wheels: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Return those objects and wheels that are absent or damaged."""
+    """Return which of these objects and wheels are absent or damaged on this host."""
     return {
         "objects": [digest for digest in objects if sha256_of(folder.object(digest)) != digest],
         "wheels": [name for name, digest in wheels if sha256_of(folder.wheel(name)) != checked_sha256(digest)],
@@ -33,9 +33,11 @@ def missing(folder: Folder, objects: Sequence[str], wheels: Sequence[tuple[str, 
 
 
 def store(folder: Folder, kind: str, entries: Sequence[Any], pieces: Iterable[bytes]) -> int:
-    """Store the concatenated contents of `entries` ([name, SHA-256, size]) from their zlib-compressed `pieces`.
+    """Store files that arrive concatenated and compressed; return their number.
 
-    A content gets its name only after its digest was found right. Returns the number of entries.
+    entries: [name, SHA-256, size in bytes] of each file.
+    pieces: the contents of all files, concatenated and compressed by zlib, in pieces.
+    A file gets its name only after its digest was verified.
     """
     places = [_place(folder, kind, entry) for entry in entries]
     total = sum(size for _, _, size in places)
@@ -82,7 +84,7 @@ def _store_one(path: Path, digest: str, pieces: Iterator[bytes]) -> None:
 
 
 class _Contents:
-    """Decompressed contents, one after another. Never holds more than about a piece of them."""
+    """Decompressor of concatenated files. It holds only about PIECE bytes in memory."""
 
     def __init__(self, pieces: Iterable[bytes]) -> None:
         self._pieces = iter(pieces)
@@ -98,12 +100,12 @@ class _Contents:
             yield piece
 
     def finish(self) -> None:
-        """Raises ToolError unless everything was taken."""
+        """Raise ToolError if data remain, or the compressed stream is incomplete."""
         if self._more(1) or not self._inflate.eof:
             raise ToolError("damaged", "the data that arrived are longer than announced, or cut", "try again")
 
     def _more(self, most: int) -> bytes:
-        """Up to `most` bytes; none at the end."""
+        """Return up to `most` decompressed bytes; no bytes at the end of the data."""
         try:
             while not self._inflate.eof:
                 if not self._input and (piece := next(self._pieces, b"")):
@@ -120,9 +122,9 @@ class _Contents:
 
 
 def link(folder: Folder, digest: str, executable: bool, path: Path) -> None:
-    """Make `path` a hard link to an object, replacing what was there.
+    """Make `path` a hard link to an object, and replace an existing file.
 
-    A file's mode belongs to its content on the disk, so an executable file has an object of its own.
+    Hard links share their file mode, so an executable file needs its own copy of the object.
     """
     source = folder.object(digest)
     if executable:
@@ -135,7 +137,7 @@ def link(folder: Folder, digest: str, executable: bool, path: Path) -> None:
         raise ToolError("missing", f"object {digest} is not here", "store it first") from None
     finally:
         with suppress(OSError):
-            beside.unlink()  # os.replace leaves it where both are the same file already
+            beside.unlink()  # os.replace does not remove the source if both are links to the same file
 
 
 def _executable(source: Path) -> Path:
@@ -153,7 +155,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 
 
 def prune(folder: Folder) -> None:
-    """Remove objects that no release links to, and what a killed process left half written."""
+    """Remove objects without a link from a release, and incomplete files of processes that were killed."""
     if not folder.objects.is_dir():
         return
     for path in folder.objects.iterdir():

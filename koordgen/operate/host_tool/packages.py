@@ -1,4 +1,4 @@
-"""Packages of agents: virtual environments made of wheels that the deploying side stored. No network is used."""
+"""Packages of agents: virtual environments, made without network from wheels that a deployment stored."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 
 from .folder import RESERVE, Folder, ToolError, make_folder, read_json, remove_tree, write_file, write_json
 
-_GROWTH = 5  # bytes on the disk for each byte of a wheel, compiled modules among them
-_TIME = 1800.0  # seconds for one step; a small computer unpacks hundreds of megabytes
-_COMPLETE = "wheels.json"  # written last: names the wheels of an environment that is complete
+_GROWTH = 5  # upper bound of installed size divided by wheel size; modules that Python compiles are included
+_TIME = 1800.0  # seconds for one command: a small computer may have to unpack hundreds of megabytes
+_COMPLETE = "wheels.json"  # list of an environment's wheels; written last, so it marks a complete environment
 
 
 def make(folder: Folder, digest: str, requirements: str, wheels: Sequence[str]) -> bool:
-    """Make the environment `digest` out of wheels that are here; return whether it had to be made.
+    """Make the virtual environment `digest` from stored wheels; return False if it exists already.
 
-    pip comes as one of the wheels, because Debian's own Python has no ensurepip.
+    One of the wheels must be pip's, because Debian's own Python has no ensurepip.
     """
     place = folder.venv(digest)
     paths = [folder.wheel(name) for name in wheels]
@@ -50,7 +50,7 @@ def wheels_of(place: Path) -> list[str]:
 
 def _fill(place: Path, pip: Path, requirements: str, wheels: Sequence[Path]) -> None:
     _run([sys.executable, "-I", "-m", "venv", "--without-pip", str(place)])
-    source = place / "wheels"  # exactly those that were named
+    source = place / "wheels"  # has only the wheels of this environment, so that pip can find no others
     source.mkdir()
     for path in wheels:
         os.link(path, source / path.name)

@@ -1,7 +1,8 @@
-"""Releases: folders of bundles made of hard links to objects, complete or absent, and verified before they are used.
+"""Releases: folders of bundles, made of hard links to objects.
 
-`release.json` describes how the robots of a release are run. When a release is staged a second time, its new
-`release.json` waits as `next.json` until it is confirmed, so a refused deployment cannot break the release that runs.
+A release is made completely or not at all, and verified before it is used. Its `release.json` describes how its robots
+are run. When a release is staged a second time, its new `release.json` is stored as `next.json` until it is confirmed,
+so a deployment that fails cannot break the release that runs.
 """
 
 from __future__ import annotations
@@ -35,12 +36,20 @@ from .folder import (
     write_json,
 )
 
-_TIME_FOR_HELP = 120.0  # seconds for a bundle's --help, which imports all of it
+_TIME_FOR_HELP = 120.0  # seconds for a bundle's --help, which imports all modules of the bundle
 _FILES, _RELEASE, _NEXT = "files.json", "release.json", "next.json"
 
 
 class Release(NamedTuple):
-    """Contents of a `release.json` of this host. `key`: a key id, empty for a fleet without a key."""
+    """Content of a release's `release.json`.
+
+    id: id of the release.
+    robots: robots of this host, sorted.
+    key: key id; empty for a fleet without a key.
+    venv: digest of the virtual environment; empty if the packages of `python` are used.
+    python: command of the interpreter.
+    service: "systemd" or "none".
+    """
 
     id: str
     robots: tuple[str, ...]
@@ -51,7 +60,10 @@ class Release(NamedTuple):
 
 
 def read_release(folder: Folder, release: str, candidate: bool = False) -> Release:
-    """Return a release that is here. `candidate`: as it will be once it is confirmed."""
+    """Return a release on this host.
+
+    `candidate`: with its `next.json`, which confirmation will put in force.
+    """
     place = folder.release(release)
     found = read_json(place / _NEXT) if candidate else None
     document = found if found is not None else read_json(place / _RELEASE)
@@ -61,7 +73,7 @@ def read_release(folder: Folder, release: str, candidate: bool = False) -> Relea
 
 
 def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
-    """Return those of the releases that are here in whole, as they will be once confirmed."""
+    """Return the releases of `ids` that are on this host, with their `next.json` if they have one."""
     found = []
     for release in ids:
         with suppress(ToolError):
@@ -70,7 +82,10 @@ def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
 
 
 def builds(folder: Folder, release: str | None) -> dict[str, str]:
-    """Return robot -> the name of the build in its bundle, which agents tell one another; none without a release."""
+    """Return robot -> build name in its bundle, for a release; agents compare build names with each other.
+
+    The result is empty if `release` is None or not on this host.
+    """
     found = {}
     for known in readable(folder, [release]):
         for robot in known.robots:
@@ -80,15 +95,17 @@ def builds(folder: Folder, release: str | None) -> dict[str, str]:
 
 
 def source(folder: Folder, release: str, robot: str) -> dict[str, str]:
-    """Return by name the files of a robot's bundle that say of which program its traces are: the program, the values
-    of its params, and its extern functions."""
+    """Return the source files in a robot's bundle, by name: program, params, extern functions.
+
+    They are needed to replay the robot's traces.
+    """
     bundle = folder.bundle(checked_release(release), checked_robot(robot))
     found = [*bundle.glob("*.koord"), *bundle.glob("*_functions.py"), *bundle.glob("params.json")]
     return {path.name: path.read_text(encoding="utf-8") for path in found}
 
 
 def describe(folder: Folder, release: str) -> dict[str, Any]:
-    """Return `release.json` of a release that is here, and the files of its bundles."""
+    """Return a release's `release.json` and the list of files in its bundles."""
     read_release(folder, release)
     place = folder.release(release)
     return {"release": read_json(place / _RELEASE), "files": read_json(place / _FILES) or {}}
@@ -118,7 +135,7 @@ def parse_release(folder: Folder, document: Any) -> Release:
 
 
 def interpreter(folder: Folder, release: Release) -> str:
-    """Return the path of the Python that runs a release's bundles."""
+    """Return the path of the Python interpreter that runs a release's bundles."""
     wanted = str(folder.venv(release.venv) / "bin" / "python") if release.venv else release.python
     found = shutil.which(wanted)
     if found is None:
@@ -133,13 +150,19 @@ def command(folder: Folder, release: Release, robot: str, *options: str) -> list
 
 
 def environment(folder: Folder) -> dict[str, str]:
-    """Return the environment of bundles: compiled modules go elsewhere, so that a release never changes."""
+    """Return the environment variables for bundles.
+
+    Python writes compiled modules to another folder, so that the files of a release never change.
+    """
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return kept | {"PYTHONPYCACHEPREFIX": str(folder.pycache)}
 
 
 def run(folder: Folder, release: Release, robot: str, *options: str, seconds: float) -> tuple[int, str, str]:
-    """Run a bundle until it ends; returns its exit status, output and errors. Status 124: not done in `seconds`."""
+    """Run a bundle until it ends; return its exit status, standard output and standard error.
+
+    Status 124: it did not end within `seconds`. Status 126: it could not be started.
+    """
     try:
         done = subprocess.run(
             command(folder, release, robot, *options), env=environment(folder), timeout=seconds,
@@ -153,7 +176,7 @@ def run(folder: Folder, release: Release, robot: str, *options: str, seconds: fl
 
 
 def stage(folder: Folder, document: Any, files: Mapping[str, Mapping[str, Sequence[Any]]]) -> None:
-    """Make a release of objects that are here. Nothing is seen of it before all of it is there."""
+    """Make a release from stored objects. The release becomes visible by a rename, after it is complete."""
     release = parse_release(folder, document)
     wanted = _wanted(release, files)
     place = folder.release(release.id)
@@ -180,8 +203,10 @@ def stage(folder: Folder, document: Any, files: Mapping[str, Mapping[str, Sequen
 
 
 def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mapping[str, Any]]) -> None:
-    """Give a new release the compiled modules of files that it has in common with the current one. Compiling them again
-    takes most of the time of loading a bundle."""
+    """Link compiled modules of the current release into a new one, for files that are equal in both.
+
+    This saves most of the time that the first load of a bundle would take.
+    """
     with suppress(OSError):
         current = folder.releases / Path(os.readlink(folder.current)).name
         known = read_json(current / _FILES) or {}
@@ -197,7 +222,7 @@ def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mappin
 
 
 def _complete(folder: Folder, place: Path, document: Any, wanted: dict[str, dict[str, Any]]) -> None:
-    """Stage a release that is here already: robots may have come to this host, and files may be damaged."""
+    """Stage an existing release again: add bundles of robots new on this host, and repair damaged files."""
     _fill(folder, place, wanted)
     write_json(place / _FILES, (read_json(place / _FILES) or {}) | wanted)
     release = parse_release(folder, document)
@@ -224,7 +249,7 @@ def _wanted(release: Release, files: Any) -> dict[str, dict[str, Any]]:
 
 
 def _fill(folder: Folder, place: Path, wanted: Mapping[str, Mapping[str, Any]]) -> None:
-    """Make the bundles in `place` hold exactly the wanted files; files that are right are not touched."""
+    """Make the bundles in `place` contain exactly the wanted files; files with the right content are kept."""
     for robot, files in wanted.items():
         bundle = place / robot
         folders = sorted(_folders_of(bundle, files))
@@ -243,13 +268,13 @@ def _fill(folder: Folder, place: Path, wanted: Mapping[str, Mapping[str, Any]]) 
 
 
 def _folders_of(bundle: Path, files: Mapping[str, Any]) -> set[Path]:
-    """Return the folder of a bundle and all folders in it."""
+    """Return the folder of a bundle, and all folders in it that contain its files."""
     above = {parent for path in files for parent in (bundle / path).parents}
     return {path for path in above if path.is_relative_to(bundle)}
 
 
 def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
-    """Return the entries of a bundle's folder that belong to none of its files."""
+    """Return the files and folders in a bundle's folder that are not part of the bundle."""
     wanted, folders = {bundle / path for path in files}, _folders_of(bundle, files)
     found = []
     for here, subfolders, names in os.walk(bundle):
@@ -261,7 +286,10 @@ def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
 
 
 def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
-    """Write the settings that are laid over each bundle's own: nothing is kept inside a release."""
+    """Write the settings that override each bundle's own settings on this host.
+
+    They place traces, the state and the key outside of the release, because a release never changes.
+    """
     for robot in release.robots:
         path = folder.overlay(release.id, robot)
         make_folder(path.parent)
@@ -276,7 +304,10 @@ def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
 
 
 def verify(folder: Folder, release_id: str, load: bool = True) -> int:
-    """Check every file, the key and (`load`) that each bundle loads; returns the number of files. Raises ToolError."""
+    """Check all files and the key of a release; return the number of files. Raises ToolError.
+
+    load: check that each bundle can be loaded as well.
+    """
     release = read_release(folder, release_id, candidate=True)
     known = read_json(folder.release(release.id) / _FILES) or {}
     count = 0
@@ -323,7 +354,7 @@ def check_key(folder: Folder, key: str) -> None:
 
 
 def accept(folder: Folder, release: str) -> None:
-    """Make the way in which a release was last staged the way in which it is run."""
+    """Put a release's `next.json`, if it has one, in force as its `release.json`."""
     place = folder.release(release)
     with suppress(FileNotFoundError):
         os.replace(place / _NEXT, place / _RELEASE)
@@ -331,20 +362,20 @@ def accept(folder: Folder, release: str) -> None:
 
 
 def clean(folder: Folder) -> None:
-    """Remove what sessions that ended too early left behind. Not while a release waits for its confirmation."""
+    """Remove remains of interrupted sessions. Must not be called while a release is pending."""
     for path in [*folder.releases.glob(".staging-*"), *folder.releases.glob(f"*/{_NEXT}")]:
         remove_tree(path)
 
 
 def staged(folder: Folder) -> list[str]:
-    """Return the ids of the releases that are here."""
+    """Return the ids of the releases on this host."""
     if not folder.releases.is_dir():
         return []
     return sorted(p.name for p in folder.releases.iterdir() if not p.name.startswith(".") and p.is_dir())
 
 
 def prune(folder: Folder, keep: Sequence[str]) -> None:
-    """Remove all releases but those in `keep`, and the settings, keys, packages and objects that only they used."""
+    """Remove all releases except `keep`, and settings, keys, packages and objects that are no longer used."""
     if folder.releases.is_dir():
         for path in list(folder.releases.iterdir()):
             if path.name not in keep:
@@ -367,7 +398,7 @@ def _prune_files(place: Path, keep: set[str]) -> None:
 
 
 def to_document(text: str) -> Any:
-    """Return the JSON document that a bundle printed, None when it printed another thing."""
+    """Return the JSON document that a bundle printed; None if its output is not JSON."""
     try:
         return json.loads(text)
     except ValueError:

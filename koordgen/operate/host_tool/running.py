@@ -15,15 +15,16 @@ from .folder import Folder, ToolError, checked_robot
 from .lock import deciding
 from .releases import Release
 
-_READY = 60.0  # seconds that `start` waits for agents that open their links
-_TURN = 0.1  # seconds between two looks
-_DOCTOR = 60.0  # seconds; a bundle's doctor takes at most 20 on a quiet computer
+_READY = 60.0  # seconds that `start` waits until agents report that they are ready
+_TURN = 0.1  # seconds between two checks of the agents' states
+_DOCTOR = 60.0  # seconds for a bundle's --doctor, which takes at most 20 s on an idle computer
 
 
 def start(folder: Folder, boot: Boot, deployment: Deployment, wanted: Any) -> dict[str, str]:
-    """Start the agents of the confirmed release; returns robot -> "ready", "starting" or "running" (before already).
+    """Start agents of the confirmed release; return a state for each robot.
 
-    Raises ToolError "unconfirmed" while a release waits, and "not started" when an agent ends at once.
+    The states are "ready", "starting" (not ready after 60 s) and "running" (the agent ran already). Raises ToolError
+    "unconfirmed" while a release is pending, and "not started" if an agent ends at once.
     """
     with deciding(folder):
         deployment.repair()
@@ -58,7 +59,7 @@ def _start_supervised(folder: Folder, boot: Boot, robots: Sequence[str]) -> dict
         if bad:
             for robot in bad:
                 if states[robot] == "ended":
-                    started[robot].wait()  # so that nothing counts as running any more
+                    started[robot].wait()  # after the supervisor's end its lock is free: nothing counts as running
             last = [text for _, text in logs.selected(logs.read_log(folder.log(bad[0])), 5, None)["lines"]]
             raise ToolError(
                 "not started",
@@ -71,9 +72,10 @@ def _start_supervised(folder: Folder, boot: Boot, robots: Sequence[str]) -> dict
 
 
 def stop(folder: Folder, deployment: Deployment, wanted: Any, seconds: float) -> list[str]:
-    """Bring agents to rest and wait up to `seconds` for their end; returns the robots that were stopped.
+    """Stop agents and wait up to `seconds` for their end; return the robots that were stopped.
 
-    Raises ToolError "still running" that names those that are not done, with their phases.
+    Each agent brings its robot to a safe stop before it ends. Raises ToolError "still running", which names the robots
+    whose agents have not ended, with their phases.
     """
     known = releases.readable(folder, [deployment.read()["confirmed"]])
     found = agents.look(folder, known, ask=False)
@@ -89,7 +91,7 @@ def stop(folder: Folder, deployment: Deployment, wanted: Any, seconds: float) ->
             named = ", ".join(f"{robot} ({each.phase or 'no answer'})" for robot, each in left.items())
             raise ToolError(
                 "still running",
-                f"not at rest after {seconds:.0f} s: {named}",
+                f"not stopped after {seconds:.0f} s: {named}",
                 "wait and stop again; an agent that somebody started by hand ends by Ctrl-C where it was started",
             )
         time.sleep(_TURN)
@@ -103,7 +105,7 @@ def _end_units(folder: Folder, known: Sequence[Release], robots: Sequence[str]) 
 
 
 def _end(folder: Folder, robot: str) -> None:
-    """Send SIGTERM to the supervisor, which passes it on; to the agent where it has none."""
+    """Send SIGTERM to the agent's supervisor, which forwards it, or to the agent if it has no supervisor."""
     supervisor = agents.pid_in(agents.supervisor_lock(folder, robot))
     pid = supervisor or agents.pid_in(agents.lock_file(folder, robot))
     if pid is not None:
@@ -119,9 +121,11 @@ def _still_running(
 
 
 def asked(folder: Folder, deployment: Deployment, robot: Any, option: str, always: bool) -> dict[str, Any]:
-    """Run the bundle of a robot with `--doctor` or `--status`; return its exit status, document and message.
+    """Run the bundle of a robot with `--doctor` or `--status`.
 
-    `always`: the bundle prints a document whatever it finds, so a missing one is an error.
+    Return its exit status, document and message.
+
+    always: the option prints a JSON document in every case, so a missing document is an error.
     """
     state = deployment.read()
     pending = state["pending"]
@@ -137,7 +141,7 @@ def asked(folder: Folder, deployment: Deployment, robot: Any, option: str, alway
 
 
 def log_lines(folder: Folder, deployment: Deployment, robot: Any, most: int, since: float | None) -> dict[str, Any]:
-    """Return log lines of a robot from its file, or from the journal where systemd runs its agent."""
+    """Return log lines of a robot, from the journal if systemd runs its agent, else from its log file."""
     name = checked_robot(robot)
     known = releases.readable(folder, [deployment.read()["confirmed"]])
     if any(release.service == "systemd" for release in known):

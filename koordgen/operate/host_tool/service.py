@@ -1,7 +1,7 @@
-"""systemd user units of agents: one unit a robot, without root.
+"""systemd user units of agents: one unit for each robot, without root privileges.
 
-User units cannot protect the file system (`ProtectSystem=` needs a user namespace there, in which an agent would lose
-the groups that let it open serial ports), so the limits are those that the kernel grants every process.
+The units do not use `ProtectSystem=`. In a user unit it needs a user namespace, in which an agent would lose the groups
+that let it open serial ports. The units use only limits that need no namespace.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from .entry import command
 from .folder import Folder, ToolError, checked_robot, make_folder, write_file
 from .releases import to_document
 
-WATCHDOG = 20  # seconds without a sign of life from the round loop
-STOP = 300  # seconds that a robot may take to land or to brake
-NO_RESTART = (0, 1, 2, 3, 130)  # exit statuses of agents that a restart would not help
-_START = 300  # seconds to compile C code and to open the links
-_TIME = 30.0  # seconds for systemctl, which only hands over requests
+WATCHDOG = 20  # seconds without a watchdog message from the agent's round loop after which the agent is killed
+STOP = 300  # seconds that a robot may take to land or to brake before its agent is killed
+NO_RESTART = (0, 1, 2, 3, 130)  # exit statuses after which an agent is not started again, because that would not help
+_START = 300  # seconds that an agent may take to get ready: it compiles C code and opens its links
+_TIME = 30.0  # seconds for systemctl commands that only pass a request to systemd
 
 
 def runtime_folder() -> Path:
-    """Return the folder in which the user's service manager listens."""
+    """Return the user's runtime folder, which contains the socket of the user's systemd manager."""
     return Path(os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}")
 
 
@@ -38,13 +38,16 @@ def has_systemd() -> bool:
 
 
 def unit_name(folder: Folder, robot: str) -> str:
-    """Return the unit of a robot. Two folders of one user have different units."""
+    """Return the name of a robot's unit.
+
+    It contains a hash of the fleet's folder, so folders have own units.
+    """
     name = re.sub(r"[^A-Za-z0-9_]", "_", folder.root.name)
     return f"koordgen-{name}-{sha256(os.fsencode(folder.root)).hexdigest()[:6]}-{checked_robot(robot)}.service"
 
 
 def unit_text(folder: Folder, boot: Boot, robot: str) -> str:
-    """Return the unit of a robot; it does not depend on the release."""
+    """Return the text of a robot's unit file; it does not depend on the release."""
     start = " ".join(_quoted(word) for word in command(folder, boot, "launch", robot))
     return f"""[Unit]
 Description=koordgen: agent of robot {robot}
@@ -87,7 +90,7 @@ def _quoted(word: str) -> str:
 
 
 def start(folder: Folder, boot: Boot, robots: Sequence[str]) -> None:
-    """Write the units and start them, now and at each boot. Returns when all have reported that they are ready."""
+    """Write the units, start them, and enable them for each boot. Returns when all agents are ready."""
     if not has_systemd():
         raise ToolError(
             "no systemd",
@@ -107,14 +110,14 @@ def start(folder: Folder, boot: Boot, robots: Sequence[str]) -> None:
 
 
 def stop(folder: Folder, robots: Sequence[str]) -> None:
-    """Ask systemd to end the agents and not to start them at the next boot. Does not wait."""
+    """Disable the units and tell systemd to stop the agents; does not wait for their end."""
     units = [unit_name(folder, robot) for robot in robots]
     _systemctl("disable", *units)
     _systemctl("stop", "--no-block", *units)
 
 
 def active(folder: Folder, robots: Iterable[str]) -> set[str]:
-    """Return those robots whose units run, or wait to be started again."""
+    """Return the robots whose units are running, starting, stopping or about to be restarted."""
     names = {unit_name(folder, robot): robot for robot in robots}
     if not names or not has_systemd():
         return set()
@@ -143,7 +146,7 @@ def journal(folder: Folder, robot: str, most: int, since: float | None) -> list[
 
 
 def _message(value: Any) -> str:
-    """Return a journal's text; one that is not UTF-8 comes as a list of bytes."""
+    """Return the text of a journal entry; journalctl prints text that is not UTF-8 as a list of bytes."""
     return bytes(value).decode("utf-8", "replace") if isinstance(value, list) else str(value or "")
 
 

@@ -1,8 +1,8 @@
 """Session protocol: requests as JSON lines on the standard input, answers on the standard output.
 
-The requests `store` and `key` carry data: they say `"length": N`, and N raw bytes follow their line. An answer with
-`length` is followed by data in the same way. A session ends with its input, or when nothing has arrived for `idle`
-seconds.
+The requests `store` and `key` carry data: they have an entry `"length": N`, and N raw bytes follow their line. An
+answer with `length` is followed by data in the same way. A session ends at the end of its input, or when nothing has
+arrived for `idle` seconds.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from .deployment import Boot, Deployment
 from .folder import PIECE, Folder, ToolError, make_folder
 from .lock import SessionLock, deciding
 
-_LONGEST_LINE = 64 * 1024 * 1024  # bytes
+_LONGEST_LINE = 64 * 1024 * 1024  # largest size of a request's JSON line, in bytes
 _WITH_DATA = ("store", "key")
-_LONGEST_WAIT = 3600.0  # seconds that a request may ask for
+_LONGEST_WAIT = 3600.0  # largest duration in seconds that a request may specify
 
 Request = Mapping[str, Any]
 Answer = dict[str, Any]
 
 
 class _Ended(Exception):
-    """The other side is gone, or broke the protocol."""
+    """The session is over: the operator's computer closed it, was silent, or violated the protocol."""
 
 
 class Channel:
@@ -39,11 +39,11 @@ class Channel:
     def __init__(self, source: int, sink: int, idle: float) -> None:
         self._source, self._sink, self._idle = source, sink, idle
         self._buffer = bytearray()
-        self._left = 0  # bytes of the present request's data that were not read
+        self._left = 0  # bytes of the present request's data that are still to be read
 
     def request(self) -> dict[str, Any]:
-        """Raises _Ended when there is no other request."""
-        for _ in self.data():  # of a request that was refused before its data were read
+        """Wait for the next request and return it. Raises _Ended."""
+        for _ in self.data():  # skip the data of a previous request that was refused before its data were read
             pass
         searched = 0
         while (end := self._buffer.find(b"\n", searched)) < 0:
@@ -64,7 +64,7 @@ class Channel:
         return dict(found)
 
     def data(self) -> Iterator[bytes]:
-        """The data of the present request, in pieces."""
+        """Yield the data of the present request, in pieces."""
         while self._left:
             if not self._buffer:
                 self._receive()
@@ -90,14 +90,18 @@ class Channel:
 
 
 class Verb(NamedTuple):
-    """Function of one kind of request. `locks`: only a session that holds the folder's lock may call it."""
+    """Handler of one kind of request.
+
+    run: function that handles the request.
+    locks: only a session that holds the folder's lock may send the request.
+    """
 
     run: Callable[[Session, Request], Answer]
     locks: bool
 
 
 class Session:
-    """One conversation with the deploying side."""
+    """One session with the operator's computer."""
 
     def __init__(self, folder: Folder, boot: Boot, channel: Channel) -> None:
         self.folder, self.boot, self.channel = folder, boot, channel
@@ -106,7 +110,7 @@ class Session:
         self.fetching = logs.Fetching(folder)
 
     def run(self) -> None:
-        """Answer requests until the other side is gone."""
+        """Answer requests until the session is over."""
         try:
             while True:
                 request = self.channel.request()
@@ -181,7 +185,7 @@ def _inspect(session: Session, request: Request) -> Answer:
     try:
         with deciding(session.folder):
             session.deployment.repair()
-    except OSError:  # a full or read-only disk, which the answer shows
+    except OSError:  # the disk may be full or read-only; the answer reports that
         pass
     return host.inspect(session.folder, session.boot, session.deployment)
 
@@ -320,7 +324,7 @@ VERBS = {
 
 
 def serve(folder: Folder, boot: Boot, idle: float) -> int:
-    """Hold one session over standard input and output; returns the exit status."""
+    """Run one session over standard input and output; return the exit status."""
     make_folder(folder.root, 0o700)
     Session(folder, boot, Channel(0, 1, idle)).run()
     return 0

@@ -1,7 +1,7 @@
-"""Supervisor of one agent, where no service manager does it: restarts, watchdog, log.
+"""Supervisor of one agent, for hosts without systemd: restarts, watchdog, log.
 
-It does what the systemd unit of service.py does: the agent reports by the protocol of sd_notify, is started again when
-it failed, and is killed when its round loop gives no sign of life.
+It replaces the systemd unit of service.py. The agent reports to it by the protocol of sd_notify. The supervisor starts
+the agent again after a failure, and kills it when its round loop sends no watchdog messages.
 """
 
 from __future__ import annotations
@@ -25,18 +25,23 @@ from .lock import try_lock
 from .logs import Log
 from .service import NO_RESTART, WATCHDOG
 
-_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0  # seconds before the agent is started again; doubles each time
-_LONG_RUN = 60.0  # seconds after which a failure counts as the first one again
-_TURN = 0.5  # seconds at most between two looks at everything
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0  # seconds before a restart: the first pause, doubled each time, and its limit
+_LONG_RUN = 60.0  # seconds; after a longer run, the pause before the next restart is _FIRST_PAUSE again
+_TURN = 0.5  # seconds at most between two checks of the agent, its output and the signals
 
 
 def state_file(folder: Folder, robot: str) -> Path:
-    """File in which a supervisor records {"pid", "state": starting, ready, waiting or ended, "status"}."""
+    """Return the JSON file in which a supervisor records the state of its agent.
+
+    pid: process id of the supervisor.
+    state: "starting", "ready", "waiting" (for a restart) or "ended".
+    status: exit status of the agent's last run; null while it runs.
+    """
     return folder.running / f"{robot}.json"
 
 
 def start(folder: Folder, boot: Boot, robot: str) -> subprocess.Popen[bytes]:
-    """Start a supervisor, detached from the session."""
+    """Start a supervisor as a process that outlives the session."""
     make_folder(folder.running)
     make_folder(folder.logs)
     return subprocess.Popen(
@@ -47,7 +52,10 @@ def start(folder: Folder, boot: Boot, robot: str) -> subprocess.Popen[bytes]:
 
 
 def state_of(folder: Folder, robot: str, supervisor: subprocess.Popen[bytes]) -> str:
-    """Return the state of a robot's agent, as its supervisor recorded it."""
+    """Return the state that the supervisor recorded.
+
+    Before its first record "starting", or "ended" if it died.
+    """
     ended = supervisor.poll() is not None
     found = read_json(state_file(folder, robot))
     if isinstance(found, dict) and found.get("pid") == supervisor.pid:
@@ -56,7 +64,10 @@ def state_of(folder: Folder, robot: str, supervisor: subprocess.Popen[bytes]) ->
 
 
 def supervise(folder: Folder, boot: Boot, robot: str) -> int:
-    """Run the agent of `robot` until it ends well or somebody stops it; returns its last exit status."""
+    """Run the agent of `robot`, with restarts, until it is stopped or a restart would not help.
+
+    Returns the last exit status of the agent.
+    """
     lock = try_lock(supervisor_lock(folder, robot))
     if lock is None:
         raise ToolError("running", f"robot {robot}: its supervisor runs already")
@@ -69,7 +80,7 @@ class _Supervisor:
     def __init__(self, folder: Folder, boot: Boot, robot: str, log: Log) -> None:
         self._folder, self._robot, self._log = folder, robot, log
         self._command = command(folder, boot, "launch", robot)
-        self._stops = 0  # signals that ask for an end
+        self._stops = 0  # number of signals received that request the end
         self._forwarded = 0
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, self._stop)
@@ -100,10 +111,10 @@ class _Supervisor:
             pause = min(2 * pause, _LONGEST_PAUSE)
 
     def _run_once(self) -> int:
-        """Run the agent once; returns its exit status, that of a signal negative."""
+        """Run the agent once; return its exit status, or minus the number of the signal that killed it."""
         name = f"koordgen-{secrets.token_hex(12)}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as notices:
-            notices.bind("\0" + name)  # an abstract name: no path of a deep folder is too long for it
+            notices.bind("\0" + name)  # an abstract name, because the path of a folder may be too long for a socket
             notices.setblocking(False)
             environment = os.environ | {"NOTIFY_SOCKET": f"@{name}", "WATCHDOG_USEC": str(WATCHDOG * 1_000_000)}
             environment.pop("WATCHDOG_PID", None)
@@ -115,7 +126,7 @@ class _Supervisor:
                 return agent.wait()
 
     def _attend(self, agent: subprocess.Popen[bytes], notices: socket.socket) -> None:
-        """Return when the agent has ended and all its output is in the log."""
+        """Log the agent's output, watch the agent and forward signals, until it ends and all output is logged."""
         assert agent.stdout is not None
         output, notified, rest = agent.stdout.fileno(), notices.fileno(), b""
         alive: float | None = None
@@ -137,7 +148,7 @@ class _Supervisor:
                     self._log.write(rest.decode("utf-8", "replace"))
                 return
             if output in ready and not piece:
-                time.sleep(0.05)  # closed while the agent goes on: select would return at once for ever
+                time.sleep(0.05)  # the agent closed its output, so `select` returns at once: avoid a busy loop
             if self._stops > self._forwarded and not ended:
                 self._forwarded += 1
                 agent.send_signal(signal.SIGTERM)
@@ -147,19 +158,22 @@ class _Supervisor:
                 alive = None
 
     def _hear(self, notices: socket.socket, alive: float | None) -> float | None:
-        """Read a notice of the agent; returns when it last gave a sign of life, None before it is ready."""
+        """Read a message of the agent; return the time of its last watchdog message.
+
+        None: the watchdog is not active, because the agent is not ready yet or is stopping.
+        """
         with suppress(OSError):
             words = notices.recv(4096).decode("utf-8", "replace").split("\n")
             if "READY=1" in words:
                 self._tell("ready", None)
                 return time.monotonic()
             if "STOPPING=1" in words:
-                return None  # landing takes as long as it takes
+                return None  # no watchdog during the stop, because landing may take long
             if "WATCHDOG=1" in words and alive is not None:
                 return time.monotonic()
         return alive
 
     def _tell(self, state: str, status: int | None) -> None:
-        with suppress(OSError):  # a full disk ends no flight
+        with suppress(OSError):  # a full disk must not end the supervisor during a flight
             found = {"pid": os.getpid(), "state": state, "status": status}
             write_json(state_file(self._folder, self._robot), found)

@@ -5,9 +5,9 @@ The whole file is allocated when it is opened, so a full disk is reported before
 and the records before it remain. Nothing is synced to the disk: the file survives a crash of the process, not a loss of
 power.
 
-An acceptor record lies within one page of memory, and a crash leaves such a write either undone or done. So an acceptor
-record with a wrong digest means damage, and the promises of this robot may be lost. Then all records are erased,
-because a robot that has forgotten a vote must not continue its mission."""
+An acceptor record lies within one page of memory, and a crash of the process leaves such a write either undone or done.
+So an acceptor record with a wrong digest means that the file is damaged, and that this robot's promises may be lost.
+All records are erased then, because a robot that has forgotten a vote must not continue its mission."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from koordgen.runtime.values.points import transmissible
 
 STORE_FORMAT = 2
 _MAGIC = b"koord-state\n"
-_HEADER = 512  # bytes; less than a page, so a crash never leaves half of it
-_DIGEST = 16
-_PAGE = 4096  # bytes, or a divisor of the page size
+_HEADER = 512  # size of the header in bytes; less than a page, so a crash never leaves it half written
+_DIGEST = 16  # size of a digest in bytes
+_PAGE = 4096  # bytes; the page size of every supported system is a multiple of it
 _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -41,7 +41,7 @@ _encode = msgspec.msgpack.Encoder().encode
 
 _KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
-_SLOTS = (2, KEPT + 1, 2)  # one slot more than records to recover: the slot being written may be damaged
+_SLOTS = (2, KEPT + 1, 2)  # slots of each kind: one more than records to recover, as a crash may damage the last write
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
 
@@ -61,7 +61,7 @@ class CheckpointStore(Protocol):
 class CheckpointFile:
     """Checkpoint file of one robot.
 
-    `write` never raises. After a failure all records are erased, so that no restart finds an old state."""
+    `write` never raises. After a failed write all records are erased, so that a restart does not find an old state."""
 
     def __init__(self, identity: Identity, path: Path | None, file: int, warn: Callable[[str], None]) -> None:
         self._identity = identity
@@ -101,25 +101,25 @@ class CheckpointFile:
         except CannotOpen:
             store.close()
             raise
-        loaded = store.load()  # so that further records count as newer
+        loaded = store.load()  # also continues the sequence numbers, so that further records count as newer
         if store._is_damaged(_NUMBERS[Acceptor]):
             if loaded.mission is not None:
                 warn(
                     f"state: {path} is damaged: what this robot promised the others in its mission cannot be read, so "
-                    "it does not come back to that mission. End the programs of all robots and start them again"
+                    "it cannot rejoin that mission. End the programs of all robots and start them again"
                 )
             store.clear()
         return store
 
     @property
     def keeps(self) -> bool:
-        """True if a restart would find the records written."""
+        """True if records are stored, so that a restarted process can find them."""
         return self._file >= 0
 
     def write(self, record: Kept) -> bool:
-        """Store a record. Return False if it was not stored; the reason was reported once.
+        """Store a record. Return False if that failed; the reason was reported once by `warn`.
 
-        Kept short, because all robots wait for the entry that waits for this write."""
+        This code is fast, because the robot's entry is sent after this write, and all other robots wait for it."""
         if self._file < 0:
             return False
         kind, payload = _NUMBERS[type(record)], _encode(record)
@@ -130,7 +130,7 @@ class CheckpointFile:
         body += digest.digest()
         try:
             if length > self._identity.rooms[kind]:
-                raise OSError(errno.EFBIG, f"a record of {length} bytes where there is room for fewer")
+                raise OSError(errno.EFBIG, f"a record of {length} bytes is longer than {self._identity.rooms[kind]}")
             if os.pwrite(self._file, body, self._begins[kind] + slot * self._lengths[kind]) != len(body):
                 raise _full()
         except OSError as error:
@@ -179,7 +179,7 @@ class CheckpointFile:
             self._file = -1
 
     def _prepare(self, path: Path) -> None:
-        """Lock the file, and make sure of its identity and full allocation."""
+        """Lock the file, allocate its full length, and check its identity; erase a file of another identity."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -194,7 +194,7 @@ class CheckpointFile:
             os.posix_fallocate(self._file, 0, size)
         except OSError as error:
             if not any(old):
-                path.unlink(missing_ok=True)  # it was empty
+                path.unlink(missing_ok=True)  # the file was new or empty
             raise _cannot(path, error, f"; it takes {-(-size // 1024)} KiB") from None
         found = _identity(old)
         ours = found is not None and msgspec.structs.replace(found, token=b"") == self._identity
@@ -202,11 +202,14 @@ class CheckpointFile:
             self._identify(found)
             return
         if any(old):
-            self._warn(f"state: {path} is {_difference(found, self._identity)}; it is begun anew")
+            self._warn(f"state: {path} is {_difference(found, self._identity)}; it is erased")
         self._begin_anew()
 
     def _begin_anew(self) -> None:
-        """Erase all records, the missions first: without a mission no other record is valid."""
+        """Erase all records and write a header with a new token. Mission records are erased first.
+
+        Without a mission record, the other records are not used, so an interrupted erasure does no harm.
+        """
         size = self._offset(len(_KINDS), 0)
         _put(self._file, bytes(size - _HEADER), _HEADER)
         self._identify(msgspec.structs.replace(self._identity, token=os.urandom(16)))
@@ -226,8 +229,8 @@ class CheckpointFile:
             with suppress(OSError):
                 self._path.unlink()
         self._warn(
-            f"state: {self._path}: {error.strerror or error}; nothing is kept from now on: if this robot's program "
-            "dies, it cannot come back to this mission"
+            f"state: {self._path}: {error.strerror or error}; nothing is stored from now on: if this robot's program "
+            "dies, it cannot rejoin this mission"
         )
 
     def _offset(self, kind: int, slot: int) -> int:
@@ -240,7 +243,7 @@ class CheckpointFile:
         return state.digest()
 
     def _is_damaged(self, kind: int) -> bool:
-        """Return whether something was written to a slot of this kind that cannot be read."""
+        """Return whether a slot of this kind contains data that are not a valid record."""
         slots = [slot for slot in range(_SLOTS[kind]) if self._read(kind, slot) is None]
         return any(any(os.pread(self._file, self._lengths[kind], self._offset(kind, slot))) for slot in slots)
 
@@ -268,7 +271,7 @@ def _rooms(program: Program, n_sys: int) -> tuple[int, ...]:
     shared = sum(4 + v.bound.bytes for v in program.shared)
     own = sum(v.bound.bytes for v in program.locals)
     ports = sum(1 + p.bound.bytes for p in _actuators(program) if p.bound is not None)
-    view = 128 + 10 * n_sys  # its members are numbers
+    view = 128 + 10 * n_sys  # bytes of an encoded view, which has a number for each robot
     return (256 + shared, 64 + own + ports, 64 + 2 * view)
 
 
@@ -309,8 +312,8 @@ def _difference(found: Identity | None, own: Identity) -> str:
 
 def _cannot(path: Path, error: OSError, more: str = "") -> CannotOpen:
     return CannotOpen(
-        f"state: {path}: {error.strerror or error}{more}; make room or leave to write there, or set `state` to another "
-        "folder (null: none, then this robot cannot come back to a mission)"
+        f"state: {path}: {error.strerror or error}{more}; free disk space or allow writing there, or set `state` to "
+        "another folder (null: none; then this robot cannot rejoin a mission)"
     )
 
 

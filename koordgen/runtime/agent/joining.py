@@ -6,9 +6,9 @@ recorded Hello of an earlier boot never passes for the present one. A robot that
 a digest of all boots. Once all robots announce the same epoch, the robot with the lowest pid proposes the start of
 round 1, and every robot passes it on.
 
-A robot whose process died during a mission rejoins with the persisted epoch and without an `init`: robots in that
-mission adopt it, and tell it the start. If all robots are present and none is in that mission, the mission is lost, and
-a new one begins."""
+A robot whose process died during a mission rejoins with the persisted epoch and without an `init`. Robots in that
+mission adopt its new boot and send it the start of round 1. If all robots are present and none is in that mission, the
+mission is lost, and a new one begins."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.wire import Entry, Hello
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
-FEW = 32  # robots; larger fleets use a longer period, or Hellos would take too much time
-LEAD = 5  # periods from the proposal to round 1: Hellos from every robot that knows it
-# Explanations for a robot that sends datagrams but is not accepted, by the reason for dropping them.
+FEW = 32  # number of robots; the period of larger fleets grows in proportion, to limit the load by Hellos
+LEAD = 5  # periods from the proposal to round 1, in which the Hellos of several robots spread the proposal
+# Explanations for users why a robot is not heard although datagrams arrive, by the reason for dropping datagrams.
 _UNHEARD = {
-    "not authentic": "datagrams come that were sealed with another key than ours",
-    "another application": "datagrams come with another application_id than ours",
-    "another format version": "datagrams come from the bundle of another koordgen version",
+    "not authentic": "datagrams arrive that were sealed with another key than this robot's",
+    "another application": "datagrams arrive with another application_id than this robot's",
+    "another format version": "datagrams arrive from the bundle of another koordgen version",
     "another interface": "a robot runs another program",
     "another program": "a robot runs another program",
     "another release": "a robot runs another release of this program",
 }
-LONGEST_LEAD = 60.0  # seconds; a start further ahead was never proposed by a robot of this fleet
+LONGEST_LEAD = 60.0  # seconds from now to a start of round 1 that is accepted; no robot proposes a later start
 
 
 @dataclass(slots=True)
 class _Other:
-    """Present boot of another robot, as far as known."""
+    """Facts known about another robot's present boot."""
 
     adoptions: int = 0
     challenge: bytes = b""  # its challenge, which this robot must answer
     init: Entry | None = None
     epoch: bytes = b""
     holds: tuple[int, ...] = ()
-    idle: bool = False  # in no mission
-    inside: bool = False  # in this robot's mission
-    elsewhere: bool = False  # in a mission that this robot's boot is not part of
+    idle: bool = False  # the other robot is in no mission
+    inside: bool = False  # the other robot is in this robot's mission
+    elsewhere: bool = False  # the other robot is in a mission that this robot's boot is not part of
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class AgreedMission:
 
 
 class Joining:
-    """Joining of one robot. Lasts as long as the process: late robots are answered during the mission."""
+    """Joining protocol of one robot. It stays active during the mission, to answer robots that restart."""
 
     def __init__(self, link: Link, layout: Layout, names: tuple[str, ...]) -> None:
         self._link = link
@@ -76,11 +76,11 @@ class Joining:
         self._returning = False
         # epochs of missions that other robots may have begun with this boot
         self._announced: deque[bytes] = deque(maxlen=8)
-        self.met = True  # true if no robot needs this robot's boot any more
+        self.met = True  # true if every robot knows this robot's boot
         self._restarted: set[int] = set()  # robots that restarted without their state during the mission
-        self._untold = False  # some of them were not reported yet
-        # Hellos of boots not proven to be live: robots answered in this period, and per robot the number of further
-        # Hellos with one of their challenges.
+        self._untold = False  # true if `began_anew` has not reported some of the restarted robots yet
+        # For Hellos that may be recorded ones: the robots answered in this period; and for each robot the number of
+        # further Hellos in this period, with the challenge of one of them.
         self._answered: set[int] = set()
         self._unanswered: dict[int, tuple[int, bytes]] = {}
         self._random = random.Random(link.boot)  # seeded, so a simulated boot always behaves the same
@@ -92,7 +92,10 @@ class Joining:
         self._link.epoch = epoch
 
     def began_anew(self) -> str:
-        """Return the names of robots that restarted without state during the mission; "" if none is new."""
+        """Return the names of robots that restarted without state during the mission.
+
+        "" if there are no new ones.
+        """
         untold, self._untold = self._untold, False
         return ", ".join(self._names[p] for p in sorted(self._restarted)) if untold else ""
 
@@ -112,7 +115,7 @@ class Joining:
         return self._start if self._returning else None
 
     def ready(self, init: Entry) -> None:
-        """Begin a mission with the result of this robot's own `init`."""
+        """Record the result of this robot's `init`, with which it joins a new mission."""
         self._init = init
         if self._returning:
             self._returning = False
@@ -128,9 +131,10 @@ class Joining:
         return AgreedMission(self._link.epoch, self._start, inits)
 
     def poll(self, now: float, fleet: float | None) -> float:
-        """Send all Hellos that are due at local time `now`. Return the time of the next call.
+        """Send all Hellos that are due at local time `now`; return the local time for the next call.
 
-        `fleet` is the fleet time, if known."""
+        fleet: present fleet time in seconds; None if unknown.
+        """
         if self._start is not None:
             return self.meet(now)
         agreed = self._link.epoch and all(o.epoch == self._link.epoch for o in self._others.values())
@@ -180,7 +184,7 @@ class Joining:
                 self._link.epoch = b""
         other.challenge = hello.challenge
         if self._start is not None:
-            # Answer if the sender missed the proposal, or has not met this boot. Otherwise both know enough.
+            # Answer if the sender does not know the start yet, or does not know this robot's boot.
             if hello.start is None or hello.answer != self._challenge(pid):
                 self._hello(pid, other.challenge)
             return
@@ -213,10 +217,10 @@ class Joining:
 
     @property
     def alone(self) -> str:
-        """Return why this robot should not move yet, "" if it may.
+        """The reason why this robot must not move yet; "" if it may move.
 
-        It waits for robots that were not heard yet, or are in another mission. One robot in the mission that this robot
-        rejoins suffices."""
+        Without a rejoin, it must not move before it has heard all robots and none is in another mission. A robot that
+        rejoins may move once it has heard one robot in its mission."""
         return "" if self.inside else "; ".join(self._absent())
 
     def _absent(self) -> list[str]:
@@ -238,7 +242,7 @@ class Joining:
         absent = self._absent()
         unready = [self._names[p] for p, o in self._others.items() if p in self._link.sessions and o.init is None]
         deaf = [self._names[p] for p, o in self._others.items() if o.init is not None and not o.epoch]
-        parts = ["coming back to the mission"] if self._returning else []
+        parts = ["rejoining the mission"] if self._returning else []
         parts += absent
         if unready and not self._returning:
             parts.append(f"waiting for {', '.join(unready)} to get ready")
@@ -247,10 +251,10 @@ class Joining:
         return "; ".join(parts) or "waiting for the start of round 1"
 
     def _answer(self, pid: int, challenge: bytes) -> None:
-        """Answer a Hello that may be a recorded one: at most one per period and robot.
+        """Answer a Hello that may be a recorded one, at most once per period and robot.
 
-        Of several in one period, one is drawn at random for the next period, so an attacker cannot crowd out the robot
-        itself."""
+        Of further Hellos in the same period, a random one is answered in the next period. So an attacker who replays
+        many recorded Hellos cannot prevent for ever that the robot's own Hello is answered."""
         if pid not in self._answered:
             self._answered.add(pid)
             self._hello(pid, challenge)
@@ -262,7 +266,7 @@ class Joining:
         self._unanswered[pid] = count, drawn
 
     def _answer_more(self) -> None:
-        """Begin a period: answer the Hellos drawn in the last one."""
+        """Answer the Hellos that were drawn in the last period. Called at the beginning of each period."""
         self._answered = set(self._unanswered)
         for pid, (_, challenge) in self._unanswered.items():
             self._hello(pid, challenge)
@@ -274,9 +278,9 @@ class Joining:
         self._link.speech.hello(to, self._challenge(to), answer, holds, self._init, start)
 
     def _challenge(self, pid: int) -> bytes:
-        """Return the challenge for a robot.
+        """Return the challenge that another robot must answer.
 
-        New after each adoption and each start, so a recorded answer never fits."""
+        It changes with each adoption and each boot of this robot, so a recorded answer never fits."""
         text = self._link.boot + bytes([pid]) + self._others[pid].adoptions.to_bytes(4, "big")
         return blake2s(text, digest_size=8, person=b"k-hello").digest()
 

@@ -40,15 +40,18 @@ from koordgen.runtime.vehicle.safety import Guard, own_position
 from koordgen.runtime.vehicle.stall import Stalls
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
-LOST_BODY = 10.0  # seconds for which a lost vehicle is still commanded to stop
-MOST_FAILURES = 100  # consecutive failures of the platform after an internal error, before the agent gives up
+LOST_BODY = 10.0  # seconds for which the agent still commands a failed vehicle to stop, before it gives up
+MOST_FAILURES = 100  # consecutive exceptions of the platform after which the agent gives up
 
 
 class Agent:
-    """Agent of one robot.
+    """Agent of one robot. Raises TooLarge if the shared variables do not fit into messages.
 
-    Call `poll` at least as often as it requests. `done` is true once the vehicle has stopped and no robot needs this
-    one. `boot` is the boot id: 8 random bytes, new for every start of the process. Raises TooLarge (layout)."""
+    Call `poll` at the time that its last call returned, or earlier. `done` is true once the vehicle has stopped and no
+    other robot needs this one.
+
+    boot: boot id: 8 random bytes, new for every start of the process.
+    """
 
     def __init__(
         self,
@@ -126,15 +129,21 @@ class Agent:
         return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
 
     def clock_error(self, now: float) -> float | None:
-        """Return a bound of the error of fleet time at local time `now`, in seconds; None if unknown."""
+        """Return a bound on the error of this robot's fleet time at local time `now`, in seconds.
+
+        None if unknown.
+        """
         bound = self._fleet_clock.bound(now)
         return bound if bound < math.inf else None
 
     def snapshot(self, now: float) -> dict[str, Any]:
-        """Return values for the status at local time `now`.
+        """Return values for the status report at local time `now`.
 
-        `pose`: position (m, ENU), yaw (rad) and age (s). `battery`: 0 to 1. Both are None if unknown. `goal`: commanded
-        points. Further keys: recent history (see `recent`)."""
+        pose: position (m, ENU), yaw (rad) and age (s); None if unknown.
+        battery: charge from 0 to 1; None if unknown.
+        goal: commanded points.
+        Further keys: recent history (koordgen/runtime/ops/recent.py).
+        """
         sensed, found = self._platform.sense(now), vitals(self._platform)
         position = own_position(sensed, self._positions)
         pose: dict[str, Any] | None = None
@@ -150,13 +159,13 @@ class Agent:
         }
 
     def end(self, why: str) -> None:
-        """Stop safely, then be done."""
+        """Stop the robot safely; `done` becomes true when it has stopped."""
         self._asked_to_end = True
         self._rest(why, OK)
         self.done = self.done or not self._started
 
     def stop_all(self, why: str) -> None:
-        """Emergency stop: stop this robot at once, and announce the emergency to all others."""
+        """Emergency stop: begin this robot's safe stop now, and announce the emergency to all other robots."""
         if self._driver is not None:
             self._driver.replica.declare_emergency()
             self._driver.flush()
@@ -176,7 +185,7 @@ class Agent:
             if not self._lost:
                 self._lost = True
                 self._journal.error(lost.message + (f" ({lost.hint})" if lost.hint else ""))
-                self._rest("the body cannot serve", SURROUNDINGS)
+                self._rest("the vehicle has failed", SURROUNDINGS)
             self._give_up(now)
         except Exception:
             self._failures += 1
@@ -202,7 +211,8 @@ class Agent:
         rounds = self._rounds
         if rounds is None:
             return min(wake, self._join(now))
-        # If a round is ripe, all others wait for this robot's entry: run its event first, and receive afterwards.
+        # If the event of the next round can run at once, other robots wait for this robot's entry: run it before
+        # receiving messages.
         if not rounds.ripe(now):
             self._receive(None)
         due = self._poll_rounds(rounds, now)
@@ -217,11 +227,11 @@ class Agent:
         return min(wake, due, self._joining.meet(now))
 
     def _join(self, now: float) -> float:
-        """Join: receive Hellos, and begin the rounds when it is time."""
+        """Take part in the joining protocol, and begin the rounds once the mission is agreed."""
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
         self._receive(fleet)
         if inside := self._joining.inside:
-            self._link.keep_time(min(inside), now)  # the time reference is unknown before the view is
+            self._link.keep_time(min(inside), now)  # a provisional time reference: the view, which names it, is unknown
         if self.phase not in ("starting", "joining"):
             return math.inf
         if self._init is not None:
@@ -234,7 +244,10 @@ class Agent:
         return wake
 
     def _receive(self, fleet: float | None) -> None:
-        """Handle all received messages. `fleet` is the fleet time; unused once the rounds have begun."""
+        """Handle all received messages.
+
+        `fleet`: fleet time in seconds, used only before the rounds have begun.
+        """
         messages = self._link.receive()
         for hello in self._link.take_hellos():
             self._joining.take(hello, fleet)
@@ -269,7 +282,11 @@ class Agent:
         return wake
 
     def _judge_missed(self, rounds: Rounds) -> None:
-        """React to missed rounds (no current shared state, or woke late), without waiting for their records."""
+        """Warn, and if so configured stop safely, after `missed_rounds` missed rounds in a row.
+
+        A missed round is one without an event because the store was not current or the robot woke late. Records of
+        rounds are not used, because they may wait for a commit.
+        """
         safety, before = self._settings.safety, self._missed
         self._missed = rounds.counters.in_a_row
         if before < safety.missed_rounds <= self._missed:
@@ -310,7 +327,7 @@ class Agent:
                 self._persistence.forget()  # no mission left to rejoin
 
     def _begin_joining(self, now: float) -> None:
-        """Hold position, and run `init` once: the vehicle is ready."""
+        """Begin to join once the vehicle is ready: hold position; run `init` unless the robot rejoins."""
         self._enter("joining", "")
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
@@ -319,7 +336,7 @@ class Agent:
             self._run_init(now)
 
     def _run_init(self, now: float) -> None:
-        """Begin a new mission, without state of an earlier one."""
+        """Erase the state of any earlier mission, run the program's `init`, and join with its result."""
         self._persistence.forget()
         sensed = self._platform.sense(now)
         shared = self._layout.initial()
@@ -403,10 +420,10 @@ class Agent:
         self._journal.judged(*self.monitors.summary())
 
     def _give_up(self, now: float) -> None:
-        """Decide whether to give up a failed vehicle.
+        """Decide whether to end the agent after its vehicle has failed.
 
-        A lost vehicle is commanded for LOST_BODY seconds; one that works again, for as long as it takes. A vehicle that
-        never started needs no stop."""
+        The vehicle is commanded to stop until LOST_BODY seconds have passed since the stop began or the vehicle last
+        worked. A vehicle that never started needs no stop."""
         self._end_when_rested()
         if not self._started:
             self.done = True
@@ -415,7 +432,7 @@ class Agent:
             self.done = True
 
     def _tell(self) -> None:
-        """Record the committed rounds. Not called while entries of others are still arriving."""
+        """Write the records of committed rounds to the trace, when no urgent work is expected."""
         self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
         if self._driver is not None and (state := self._driver.replica.state) is not None:
             self.metrics.held(state.held)

@@ -1,8 +1,8 @@
-"""Output commit: outputs of rounds wait here until the rounds are committed.
+"""Output commit: outputs of a round wait here until the round is committed.
 
-An event changes its own robot's variables at once, a transaction once it has won. Everything that leaves the robot
-(commands, lines, trace) waits until the round is committed: an event that the fleet does not count never moves a
-robot."""
+A plain event changes its robot's private variables at once. A transaction (an event with a lock) changes them when it
+has won the lock. Outputs (actuator commands, lines of streams, trace records) wait until the round is committed, so an
+event that a view change discards never moves a robot."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Record
 
-MOST_WAITING = 64  # records; if more wait, the record of an idle round is dropped
-AHEAD = 3  # rounds beyond the last committed one in which events without outputs may still run
+MOST_WAITING = 64  # largest number of waiting records; beyond it, records of rounds without an event are dropped
+AHEAD = 3  # number of rounds after the last committed one in which events may run if no output waits
 
 
 @dataclass(slots=True)
 class _Waiting:
     record: Record
-    lock: int  # -1: a plain event, or none
+    lock: int  # lock of a transaction that is not decided yet; -1: a plain event, a decided one, or no event
     life: Life | None
 
 
 class OutputCommit:
     """Records of uncommitted rounds, in ascending order.
 
-    `lives`: states that the robot may have to roll back to; the first is committed. `first`: the first round whose
-    outputs wait, or None."""
+    lives: private states that the robot may have to roll back to, in ascending order; the first one is committed.
+    first: the first round whose outputs wait; None if no outputs wait.
+    """
 
     def __init__(self, life: Life) -> None:
         self._waiting: deque[_Waiting] = deque()
@@ -41,7 +42,7 @@ class OutputCommit:
 
     @property
     def life(self) -> Life:
-        """The latest life, committed or not."""
+        """The latest private state, committed or not."""
         return self.lives[-1]
 
     @property
@@ -53,13 +54,13 @@ class OutputCommit:
     def pressing(self) -> bool:
         """True if waiting records must be handled before the next event.
 
-        They may change this robot's variables or its commands, or there is no room for more. Others have time until the
-        event's entry was sent.
+        That is so if outputs wait, a transaction is undecided, or MOST_WAITING records wait. Otherwise they are handled
+        after the entry of the event was sent, because other robots wait for that entry.
         """
         return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
     def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """Add a round's record, with the life that its event led to, if any."""
+        """Add a round's record, and the private state after the round's event, if it had one."""
         waiting = _Waiting(record, lock, life)
         if len(self._waiting) < MOST_WAITING or life is not None:
             self._waiting.append(waiting)
@@ -71,7 +72,7 @@ class OutputCommit:
             self.lives.append(life)
 
     def decide(self, state: StateMachine) -> bool | None:
-        """Return whether the pending transaction has won; None if there is none, or its result is not known."""
+        """Return whether the pending transaction has won; None if there is none, or its round is not applied."""
         waiting = self._commit
         if waiting is None or state.applied < waiting.record.round:
             return None
@@ -97,9 +98,9 @@ class OutputCommit:
         return first.lock < 0 and _is_committed(first.record, state)
 
     def ready(self, state: StateMachine | None) -> list[Record]:
-        """Return the committed records, by ascending round.
+        """Remove and return the committed records, by ascending round.
 
-        Without a store, those before the first with an event."""
+        Without a store (`state` is None), these are the records before the first one with an event."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
@@ -114,11 +115,12 @@ class OutputCommit:
         return found
 
     def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
-        """End all waiting after a rejoin: the last event of this robot that counts is that of round `acted`.
+        """Decide all waiting records after a rejoin.
 
-        Return the life to go on with, or None if it is not known any more, and all records, now that they are decided.
+        acted: round of this robot's last event that the fleet counts.
+        Returns the private state after that event (None if it is no longer stored), and all records.
         """
-        # the proposed transaction may have won
+        # An undecided transaction may have won while this robot was out; then its state is the one to continue with.
         proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]
         life = next((life for life in (*self.lives, *proposed) if life.round == acted), None)
         found = []
@@ -140,7 +142,10 @@ class OutputCommit:
 
 
 def _is_committed(record: Record, state: StateMachine | None) -> bool:
-    """Return whether no view can leave out what an event wrote, or what an event without effect has read."""
+    """Return whether a round is committed: no later view can discard it.
+
+    For an event without effects, it suffices that the round before is committed, whose store the event has read.
+    """
     if record.effects is None and record.frame is None:
         return True
     last = record.round if record.effects is not None else record.round - 1
@@ -148,5 +153,5 @@ def _is_committed(record: Record, state: StateMachine | None) -> bool:
 
 
 def has_outputs(effects: Effects | None) -> bool:
-    """Return whether an event has outputs: something that leaves the robot."""
+    """Return whether an event has outputs: actuator commands, lines of streams, or a stop of the robot."""
     return effects is not None and bool(effects.actuators or effects.streams or effects.stopped)

@@ -1,4 +1,4 @@
-"""Persistence: state that a robot writes during a mission, and state found from an earlier process."""
+"""Persistence: writes a robot's state during a mission, and reads the state of an earlier process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from koordgen.runtime.replication.messages import HardState, Vote
 
 
 class Persistence:
-    """Persistent state of one robot. `past`: state of an earlier process; empty once a new mission begins."""
+    """Persistent state of one robot.
+
+    past: state that an earlier process of this robot wrote; empty once a new mission begins.
+    """
 
     def __init__(self, store: CheckpointStore, program: Program, n_sys: int) -> None:
         self._store = store
@@ -28,29 +31,29 @@ class Persistence:
 
     @property
     def interrupted(self) -> bytes:
-        """Epoch of the mission that an earlier process died in; b"" for none."""
+        """Epoch of the mission during which an earlier process died; b"" for none."""
         return self.past.mission.epoch if self.past.mission is not None else b""
 
     def forget(self) -> None:
-        """Erase all state: of an earlier process, or of a mission that is over."""
+        """Erase all persisted state, of an earlier process or of a mission that is over."""
         self.past = Loaded()
         self._epoch = b""
         self._store.clear()
 
     def mission(self, epoch: bytes, init: Life) -> None:
-        """Persist the mission that this robot belongs to, before announcing it."""
+        """Persist the epoch of the mission and the result of `init`; call this before announcing the epoch."""
         if epoch not in (b"", self._epoch):
             self._epoch = epoch
             self._store.write(Mission(epoch, 0, b""))
             self.life(init, 0)
 
     def life(self, life: Life, incarnation: int) -> None:
-        """Persist the robot's own variables after an event, and the incarnation that ran it."""
+        """Persist the robot's private state (a Life) after an event, and the incarnation that ran the event."""
         own, actuators = self._codec.encode(life.locals, life.actuators)
         self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
 
     def hard_state(self, state: HardState) -> None:
-        """Persist the promises that this robot made to others."""
+        """Persist the facts that this robot must not contradict after a restart; see HardState."""
         view, applied, vote = state.view, state.applied, state.vote
         known_view, known_vote, encoded, value = self._said
         if view is not known_view or vote is not known_vote:
@@ -59,7 +62,7 @@ class Persistence:
         self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
 
     def lives(self) -> list[Life]:
-        """Return the lives that an earlier process has persisted, in ascending order; may be empty."""
+        """Return the private states that an earlier process persisted, by ascending round; may be empty."""
         found = []
         for kept in self.past.locals:
             decoded = self._codec.decode(kept.locals, kept.actuators)

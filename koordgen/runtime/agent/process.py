@@ -2,9 +2,15 @@
 
 `main` of every agent bundle reads its settings, opens its resources and runs the agent.
 
-Exit statuses: 0 done, stopped safely; 1 settings or program are wrong; 2 usage; 3 stopped safely, as the fleet file
-demands after a violated property; 5 environment (port, link, device, vehicle); 70 internal error; 130 ended at once by
-a third signal."""
+Exit statuses:
+0: the mission is done, and the robot has stopped safely.
+1: the settings or the program are wrong.
+2: wrong command line.
+3: stopped safely because a monitored property was violated, as the fleet file demands.
+5: problem of the environment (port, link, device, vehicle).
+70: internal error.
+130: ended at once by a third signal.
+"""
 
 from __future__ import annotations
 
@@ -53,9 +59,9 @@ from koordgen.runtime.vehicle.platform import Platform, Unready
 __all__ = ["Agent", "main"]
 
 INTERRUPTED = 130
-LONGEST_WAIT = 0.1  # seconds; bound of the delay until a signal is handled
-YOUNG = 10_000  # new objects between two collections of the youngest generation: 0.3 ms
-PIECE = 200  # characters that a pipe or terminal accepts at once when it is ready
+LONGEST_WAIT = 0.1  # longest wait for messages in seconds, which bounds the delay until a signal is handled
+YOUNG = 10_000  # new objects between two garbage collections of the youngest generation, which take 0.3 ms each
+PIECE = 200  # characters written at once, few enough that a pipe or terminal that is ready accepts them
 
 NO_DRIVERS: Drivers = {}
 
@@ -68,12 +74,15 @@ def main(
     drivers: Drivers = NO_DRIVERS,
     properties: Properties | None = None,
 ) -> int:
-    """Run the robot's `program` on the vehicle of `platform_type`, with the settings in `root`.
+    """Run the robot's program; return the exit status.
 
-    Return the exit status.
-
-    `drivers` create the drivers of modules that the platform does not offer. `properties` are monitored (None: the
-    program has none)."""
+    program: the compiled program.
+    platform_type: creates the platform, the code for the vehicle.
+    root: folder of the bundle, with its settings.
+    argv: arguments of the command line.
+    drivers: create the drivers of modules that the platform does not offer.
+    properties: monitored properties; None if the program has none.
+    """
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
@@ -119,10 +128,10 @@ def main(
 
 
 def settle_collector() -> None:
-    """Keep garbage collections out of rounds as far as possible, after all permanent objects were created.
+    """Reduce garbage collections during rounds. Call this after all permanent objects were created.
 
-    A full collection takes 6 ms with CasADi's and OMPL's modules, so these are excluded from now on. Nearly no object
-    of a round is in a cycle, so the youngest generation is collected rarely."""
+    A full collection takes 6 ms with the modules of CasADi and OMPL loaded, so all present objects are excluded from
+    collections. Nearly no object of a round is in a reference cycle, so collections may be rare."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(YOUNG)
@@ -264,9 +273,9 @@ def _report(settings: Settings, agent: Agent, control: Control, root: Path, now:
 
 
 class _Signals:
-    """Counter of SIGINT, SIGTERM and SIGHUP inside a block; the third raises EndedAtOnce.
+    """Context manager that counts SIGINT, SIGTERM and SIGHUP; the third signal raises EndedAtOnce.
 
-    A closed terminal counts once, however often it is signalled. Under `nohup`, SIGHUP stays ignored."""
+    A SIGHUP (closed terminal) counts only if it is the first signal. Under `nohup`, SIGHUP stays ignored."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -293,7 +302,10 @@ class _Signals:
 
 
 def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointFile:
-    """Open the store beside the bundle, not in it: a bundle can be replaced only without user files in it."""
+    """Open the checkpoint file.
+
+    It is beside the bundle's folder, so that the bundle can be replaced as a whole.
+    """
 
     def warn(text: str) -> None:
         _say("warning", text)
@@ -332,7 +344,7 @@ def _say(level: str, text: str) -> None:
 
 
 def _print(line: str) -> None:
-    """Print to standard error without blocking, and drop what it does not accept.
+    """Print to standard error without blocking; text that it does not accept at once is dropped.
 
     A closed or halted terminal (Ctrl-S, a broken ssh connection) must not stop the control loop of a flying robot."""
     text = line + "\n"

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import msgspec
 
-KEPT = 8  # rounds whose locals are recoverable
+KEPT = 8  # number of last rounds whose private variables can be recovered after a crash
 
 
 class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Mission of this robot.
+    """Mission that this robot takes part in.
 
-    Epoch, start of round 1 (microseconds of fleet time), own round-0 entry as on the wire."""
+    epoch: id of the mission.
+    start: start of round 1 in microseconds of fleet time. init: the robot's encoded round-0 entry.
+    """
 
     epoch: bytes
     start: int
@@ -20,7 +22,14 @@ class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Private variables after the robot's event of `round`, encoded by LocalsCodec."""
+    """Private state of a robot after its event of a round.
+
+    round: the event's round.
+    incarnation: incarnation of the robot that ran the event.
+    locals: private variables, encoded by LocalsCodec.
+    actuators: latest actuator values, encoded by LocalsCodec.
+    stopped: whether the program has stopped the robot.
+    """
 
     round: int
     incarnation: int
@@ -32,8 +41,13 @@ class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 class Acceptor(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """State of the robot as a Paxos acceptor of views.
 
-    The present view (encoded) and the last round applied in it. For the next view, `number`: ballot promised, ballot
-    and value (encoded) accepted."""
+    view: present view, encoded.
+    applied: last round that the robot has reported as applied in the present view.
+    number: number of the view that the promise and the vote below are for.
+    promised: ballot promised.
+    accepted_ballot: ballot in which the robot has voted.
+    accepted: view that it has voted for, encoded; empty without a vote.
+    """
 
     view: bytes
     applied: int
@@ -48,7 +62,7 @@ Kept = Mission | Locals | Acceptor
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """The newest record of each kind; `locals`: those of the last KEPT rounds, ascending."""
+    """Records of a checkpoint: the newest of each kind; in `locals`, of the last KEPT rounds, ascending."""
 
     mission: Mission | None = None
     locals: tuple[Locals, ...] = ()
@@ -56,7 +70,11 @@ class Loaded:
 
 
 class Identity(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Owner of a checkpoint file. `token` is new after each erasure; digests depend on it."""
+    """Identity of a checkpoint file: format, program and robot.
+
+    rooms: largest size in bytes of a record of each kind.
+    token: random, new after each erasure. The digests of records depend on it, so older records become invalid.
+    """
 
     format: int
     app: str

@@ -1,10 +1,9 @@
-"""Rounds of a mission on one robot.
+"""Rounds of a mission on one robot: in each, at most one event runs, and one entry is sent to all.
 
-In each, at most one event runs, and one entry is sent to all other robots.
-
-Round r begins at start + (r-1) delta of fleet time. Entries that are missing then may still arrive until the publish
-deadline; the robot requests them, and skips its event if they did not arrive. Ticks are absolute: a robot that wakes
-late goes on with the present round, and closes the rounds that it missed without events."""
+Round r begins at start + (r-1) delta of fleet time. The event of round r needs the entries of round r-1 of all members.
+Entries that are missing at the beginning of the round may still arrive until the publish deadline. The robot requests
+them, and skips its event if they do not arrive. Rounds follow the clock: a robot that wakes late continues with the
+present round, and closes the rounds that it missed without events."""
 
 from __future__ import annotations
 
@@ -40,21 +39,21 @@ from koordgen.runtime.trace.writer import Observe, Record
 from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
-PUBLISH = 0.5  # of delta: the publish deadline, when a round's entry is sent at the latest
-PUNCTUAL = 0.5  # of a tick: a robot that wakes later than this after something was due is late
-GATHER = 300e-6  # seconds of waiting per missing entry, before the robot handles the entries received
-MOST_GATHER = 0.2  # share of a round: one tick, the limit of the wait for all entries
-LINGER = 20  # rounds for which a robot serves the others after all have stopped
+PUBLISH = 0.5  # publish deadline, as a fraction of the round: the round's entry must be sent by then
+PUNCTUAL = 0.5  # fraction of a tick; a robot that wakes later than that after its due time counts as late
+GATHER = 300e-6  # seconds to wait per missing entry, so that several received entries are handled together
+MOST_GATHER = 0.2  # limit of the wait for all missing entries, as a fraction of the round (one tick)
+LINGER = 20  # number of rounds for which a robot still answers other robots after all have stopped
 
 
 @dataclass(slots=True)
 class _Present:
-    """Progress of the present round. `open`: the robot has not sent its entry yet."""
+    """Progress of the present round. `open`: the robot has not sent the round's entry yet."""
 
     open: bool = False
     sensed: Sensed | None = None
     tick: int = -1  # the last tick of the round that was handled
-    acknowledged: bool = False  # the robots that wait for it know that this robot has applied the round
+    acknowledged: bool = False  # the report that this robot has applied the round was sent to the robots that wait
 
 
 class Lost(Exception):
@@ -64,9 +63,13 @@ class Lost(Exception):
 class Rounds:
     """One robot's rounds.
 
-    `observe` gets the record of each round once it is committed. The private state that `driver` persists is a pair: a
-    life, and the incarnation of the robot that leads it. `start` is the fleet time of round 1, `delta` the duration of
-    a round, both in seconds.
+    runner: runs the program's events.
+    driver: the replica of the shared store. Its persisted private state is a pair: a Life (private variables and
+        actuator values after an event), and the robot's incarnation.
+    start: fleet time of round 1, in seconds.
+    delta: duration of a round, in seconds.
+    lives: private states to continue from, by ascending round.
+    observe: called with the record of each round once the round is committed.
     """
 
     def __init__(
@@ -92,20 +95,20 @@ class Rounds:
         self._observe = observe
         self.round = 0  # the present round; 0 before the first
         self._present = _Present()
-        self._wake = math.inf  # when there is something to do
+        self._wake = math.inf  # local time at which `poll` must be called next
         self._policy = self._replica.policy
         self._left = False
         self._handled = 0  # the last applied round that was settled and acknowledged
-        self._restored: Life | None = None  # goes into the next record
+        self._restored: Life | None = None  # private state restored by a rejoin, to be noted in the next record
         self._outbox = OutputCommit(lives[0])
         self._outbox.lives = list(lives)
         self._store_changes = self._replica.store_changes
         self._view = self._replica.views.view.number  # the latest view in which this robot has sent a report
         self.stopped = self._outbox.life.stopped
         self.counters = RoundCounters()
-        self.reason: str | None = None  # why the last round that was closed had no event
+        self.reason: str | None = None  # reason why no event ran in the last closed round; None if one ran
         self.watched = False  # true if monitors need `moment`
-        self.moment: Observation | None = None  # what the robot knew at the beginning of that round
+        self.moment: Observation | None = None  # observation at the beginning of the last closed round
 
     @property
     def lacking(self) -> list[str]:
@@ -121,7 +124,7 @@ class Rounds:
         return since is not None and self.round > since + LINGER
 
     def ripe(self, now: float) -> bool:
-        """Return whether a round has begun for which all entries have arrived, so its event may run first."""
+        """Return whether the next round has begun and all entries that its event needs are here."""
         state, present = self._replica.state, self._present
         if state is None or present.open or state.applied != self.round or not self.round:
             return False
@@ -129,15 +132,15 @@ class Rounds:
 
     @property
     def calm(self) -> bool:
-        """True if nothing more is expected in this round, so there is time for work that can wait."""
+        """True if no more entries are expected in this round, so there is time for work that is not urgent."""
         state, present = self._replica.state, self._present
         return not present.open and (state is None or state.applied >= self.round or present.tick >= REQUEST_TICK)
 
     @property
     def expects(self) -> tuple[int, float]:
-        """Number of entries that the closed round still lacks, and seconds to gather them.
+        """Number of entries still missing for the closed round, and seconds to wait for them together.
 
-        To wake for each entry alone would cost more than all other work. If no entry is missing: 1, and no time.
+        Waking for each single entry would cost more than all other work. If no entry is missing: 1 and 0 s.
         """
         state, at_once = self._replica.state, self._present.open and not self._policy.is_strained(self.round)
         if state is None or at_once or state.applied >= self.round or not state.lacking:
@@ -145,18 +148,20 @@ class Rounds:
         return state.lacking, min(GATHER * state.lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
-        """Run no more events: close all further rounds without one."""
+        """Run no more events: close all further rounds without an event."""
         self._left = True
 
     def receive(self, messages: Sequence[ReplicaMessage]) -> None:
-        """Handle messages of this mission."""
+        """Handle received messages of this mission."""
         self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
-        """Do all that is due at local time `now` (s). Return the latest time for the next call.
+        """Do all work that is due at local time `now` (s). Return the latest time for the next call.
 
-        `sense` samples the sensors at a time. `unready` says why no event may run, as far as the vehicle goes. Raises
-        Lost.
+        Raises Lost.
+
+        sense: samples the sensors at a local time.
+        unready: reason why the vehicle does not allow an event; None if it does.
         """
         elapsed = self._clock.read(now) - self._start
         round_ = math.floor(elapsed / self._delta + 1e-6) + 1
@@ -174,7 +179,7 @@ class Rounds:
         ripe = fresh and present.open and state is not None and state.applied == self.round - 1
         if fresh:
             present.tick = tick
-            if not ripe:  # else all others wait for the entry: first the event
+            if not ripe:  # otherwise run the event first, because all other robots wait for this robot's entry
                 self._driver.tick((self.round - 1) * TICKS + tick)
                 state = self._replica.state
         if state is not None and not present.open and self._is_calm(state):
@@ -188,7 +193,7 @@ class Rounds:
         return self._wake
 
     def _run(self, now: float, into: float, unready: str | None) -> None:
-        """Act on what has changed, and run the event of the round if it is time."""
+        """Handle changes of the store and the view, then run the event or close the round if it is time."""
         state = self._replica.state
         if state is None:
             for record in self._outbox.ready(None):
@@ -198,7 +203,7 @@ class Rounds:
             return
         if self._store_changes != self._replica.store_changes:
             self._come_back(state, now)
-        if state.view.number != self._view:  # all robots need reports in the new view before events can continue
+        if state.view.number != self._view:  # rounds are committed only after robots have sent reports in the new view
             self._view = state.view.number
             self._replica.send_report(self.round)
             self._driver.flush()
@@ -213,12 +218,12 @@ class Rounds:
         self._handled = state.applied
 
     def _is_calm(self, state: StateMachine) -> bool:
-        """Return whether nothing that has arrived since the last poll of this round makes a difference to it."""
+        """Return whether the store, the view and the waiting records are unchanged since the last poll."""
         same = self._store_changes == self._replica.store_changes and state.view.number == self._view
         return same and state.applied == self._handled and not self._outbox.can_settle(state)
 
     def _moment_of(self, part: float) -> float:
-        """Return the local time at which this part of the present round has passed."""
+        """Return the local time at which the fraction `part` of the present round has passed."""
         return self._clock.local(self._start + (self.round - 1 + part) * self._delta)
 
     def _begin(self, round_: int, sensed: Sensed) -> None:
@@ -231,14 +236,14 @@ class Rounds:
         self.counters.rounds += 1
 
     def _come_back(self, state: StateMachine, now: float) -> None:
-        """Continue from the last event of this robot that the other robots count."""
+        """Continue after a rejoin, with the private state after this robot's last event that the fleet counts."""
         self._store_changes = self._replica.store_changes
         acted = state.acted[self._pid]
         life, records = self._outbox.settle(acted)
         if life is None:
             raise Lost(
                 f"the last event of this robot that the others count is that of round {acted}, and its own variables "
-                "of that round are not kept any more: it cannot come back to this mission"
+                "of that round are not stored any more: it cannot rejoin this mission"
             )
         self._runner.locals, self.stopped = life.locals, life.stopped
         self._restored = life
@@ -246,13 +251,13 @@ class Rounds:
         self._body.hold(STOPPED, self.stopped, now)
         for record in records:
             self._observe(record)
-        # the others have an entry of an earlier life
+        # The other robots have no entry of this round with the new incarnation: send one.
         if not self._present.open and self._replica.published < self.round:
             self._replica.propose(self.round, {}, stopped=self.stopped)
             self._driver.run()
 
     def _settle(self, now: float) -> None:
-        """Act on events that are committed, and on transactions whose result is known."""
+        """Carry out the outputs of committed events, and handle transactions whose result is known."""
         state, outbox = self._replica.state, self._outbox
         assert state is not None
         won = outbox.decide(state)
@@ -261,7 +266,8 @@ class Rounds:
             self.stopped = self.stopped or outbox.life.stopped
         elif won is False:
             self.counters.gave_way += 1
-            # The life of the lost transaction must not take the room of one that counts, however often one is lost.
+            # The checkpoint holds a limited number of private states. Overwrite that of the lost transaction, so that
+            # repeated losses never push out a state that counts.
             self._driver.persist_private((outbox.life, state.view.members[self._pid]))
         for record in outbox.ready(state):
             effects = record.effects
@@ -273,7 +279,12 @@ class Rounds:
             self._body.hold(NOT_CONFIRMED, False, now)
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
-        """Run an event, or close the round without one, or keep it open for entries that may still arrive."""
+        """Run an event, close the round without one, or keep it open for entries that may still arrive.
+
+        into: seconds since the beginning of the round.
+        current: the store contains all earlier rounds, and this robot is a member.
+        unready: reason why the vehicle does not allow an event; None if it does.
+        """
         sensed = self._present.sensed
         assert sensed is not None
         sensors = self._body.sensors(sensed)
@@ -311,14 +322,14 @@ class Rounds:
         self._finish(self._runner.step(frame, self._moment_of(PUBLISH)), frame, now, into)
 
     def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Observation:
-        """Return what this robot knows before its event."""
+        """Return the observation for monitors: sensors, variables and actuators before this round's event."""
         state, own, body = self._replica.state, self._runner.locals, self._body.actuators
         if state is None or self._outbox.first is not None or self._outbox.undecided:
             return Observation(self.round, now, SENSED, sensed, sensors, own, {}, body)
         return Observation(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
 
     def _unsettled(self, current: bool) -> str | None:
-        """Return why no event may run, as far as the shared memory goes; None if one may."""
+        """Return the reason why the shared memory does not allow an event; None if it does."""
         state, round_ = self._replica.state, self.round
         if state is None:
             return self._replica.status
@@ -341,7 +352,7 @@ class Rounds:
         return ", ".join(self._names[p] for p in pids)
 
     def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
-        """Close a round in which an event could run. The record is made after the entry was sent."""
+        """Close a round after its event; the record is made after the entry was sent, which is urgent."""
         fault, effects = outcome.fault, outcome.effects
         self._body.hold(FAULT, fault is not None, now)
         life = self._close(effects, outcome.lock)
@@ -354,7 +365,10 @@ class Rounds:
         self._wait(record, outcome.lock, life)
 
     def _close(self, effects: Effects | None = None, lock: int = -1) -> Life | None:
-        """Send the entry of this round. Return the life that the event led to, which is persisted before."""
+        """Persist the private state after the event, send the round's entry, and return the state.
+
+        Returns None if the round had no event with effects.
+        """
         state = self._replica.state
         self._present.open = False
         life = private = None
@@ -375,20 +389,20 @@ class Rounds:
         return life
 
     def _wait(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """Keep a round's record until the round is committed."""
+        """Store a round's record until the round is committed."""
         if self._restored is not None:
             record, self._restored = replace(record, restored=self._restored), None
         self._outbox.add(record, lock, life)
 
     def _acknowledge(self, applied: int) -> None:
-        """Tell the robots that wait for it that this robot has applied the round that they closed."""
+        """Report that this robot has applied the present round to the robots that wait for this report."""
         if applied >= self.round and not self._present.acknowledged:
             self._present.acknowledged = True
             self._replica.acknowledge(self.round)
             self._driver.flush()
 
     def _request(self, tick: int, fresh: bool, on_time: bool) -> float:
-        """Request what should be here by now; return the next moment at which there may be something to do."""
+        """Request missing entries and reports that are overdue; return the local time for the next call."""
         present, state = self._present, self._replica.state
         if state is None:
             return self._next_tick(tick)

@@ -1,4 +1,4 @@
-"""Monitors: the program's properties, judged on a robot while it runs.
+"""Monitors: evaluate the program's properties on a robot during the mission.
 
 Owns: three-valued verdicts of one robot, their explanation in words, the processor time that they may take.
 Offers: `Monitor`.

@@ -1,6 +1,4 @@
-"""Monitors of one robot.
-
-Evaluate invariants, port assumptions and contracts as far as the robot knows.
+"""Monitors of one robot: evaluate invariants, port assumptions and contracts on values it knows.
 
 An invariant is evaluated at the start of a round, on committed data: the robot's own sensors and variables, and its
 replica of the store, all of the same time; other robots' ports and locals are unknown. A port assumption is evaluated
@@ -44,8 +42,8 @@ from koordgen.runtime.vehicle.safety import GO, Verdict
 
 SHARE = 0.03  # share of the agent's CPU time for properties that are only logged
 LONGEST_WAIT = 50  # rounds after which a property is evaluated regardless of its cost
-BUDGET = 0.1  # share of delta for all properties of one round
-MOST_OVERRUNS = 3  # a property that exceeds its time more often is switched off
+BUDGET = 0.1  # time for all properties of one round, as a share of the round's duration
+MOST_OVERRUNS = 3  # number of overruns of that time after which a property is switched off at the next one
 LOOPS = "loop invariants"  # name of all loop invariants in the settings
 
 Tell = Callable[[Change], None]
@@ -155,7 +153,7 @@ class Monitors:
                 self._wait(watched, moment)
             elif watched.due:
                 due.append(watched)
-            else:  # unchanged values: as true as before
+            else:  # the values are unchanged, so the verdict is confirmed
                 watched.true = moment.round - (old if watched.senses else 0)
         if due:
             self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)

@@ -9,7 +9,7 @@ from koordgen.runtime.net.codec import entry_of
 from koordgen.runtime.net.fragments import Reassembly
 from koordgen.runtime.net.wire import Entry, Fragment, HeldFragments
 
-MOST_HELD = 8  # entries whose fragments one Nack reports
+MOST_HELD = 8  # largest number of entries whose received fragments one Nack reports
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Assembly:
         self._begun.clear()
 
     def received(self) -> tuple[HeldFragments, ...]:
-        """Return the fragments received, for a request of the missing ones."""
+        """Return which fragments have been received, for a Nack, so that only the others are sent again."""
         begun = [
             HeldFragments(author, b.round, b.fragments.name, b.fragments.mask) for author, b in self._begun.items()
         ]

@@ -50,7 +50,7 @@ def encode(message: Message, key: bytes | None) -> bytes:
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
     """Return the message of a datagram, or why it is refused. Nothing is read before its MAC was verified.
 
-    Never raises. An entry keeps the payload that it arrived in alive; slices of a view would keep three objects."""
+    Never raises. The values of an entry refer to the payload in which they arrived, which therefore stays in memory."""
     return decoder(key)(datagram)
 
 
@@ -92,9 +92,9 @@ def snapshot_of(blob: bytes) -> Snapshot | None:
 
 
 def epoch_of(boots: list[bytes]) -> bytes:
-    """Return the mission's name: a digest of all robots' boots in the order of their pids.
+    """Return the epoch, the id of a mission: a digest of all robots' boot ids in the order of their pids.
 
-    Robots that have met the same boots so agree on it without a coordinator.
+    Robots that know the same boot ids therefore agree on the epoch without a coordinator.
     """
     return blake2s(b"".join(boots), digest_size=8, person=b"k-epoch").digest()
 

@@ -14,17 +14,17 @@ from math import copysign, inf
 from typing import NamedTuple
 
 CRYSTAL = 100e-6
-DRIFT = 2 * CRYSTAL  # of two clocks relative to each other
-MOST_DRIFT = 500e-6  # bound of every estimate
+DRIFT = 2 * CRYSTAL  # largest relative difference of two clocks' rates
+MOST_DRIFT = 500e-6  # bound of every estimate of that difference
 WANDER = 10e-6  # bound of the difference between the present rate and the mean rate of the last SLOTS * SLOT seconds
-SLOT = 16.0  # seconds; the best bounds of each slot are kept
-SLOTS = 32
+SLOT = 16.0  # seconds of a slot; the best bounds of each slot are kept
+SLOTS = 32  # number of slots kept
 APART = 5.0  # seconds between two bounds that yield an estimate of the rate
 ROUNDING = 2e-6  # stamps are whole microseconds
-# share of elapsed time by which a locked clock is corrected at most: keeps it monotonic, so rounds never jump
+# Largest correction of a locked clock, as a share of the elapsed time. It keeps the clock monotonic and rounds even.
 SLEW = 0.05
 FRESH = 0.02  # seconds for which an estimate is reused: two clocks drift apart by at most four microseconds
-STEP = 0.1  # seconds: a deviation that needs longer than STEP / SLEW to correct is no error of estimation
+STEP = 0.1  # seconds; a larger deviation of an estimate is not an estimation error
 
 
 class _Edges(NamedTuple):
@@ -184,7 +184,7 @@ class FleetClock:
             return
         self.read(now)
         if self.reference == self._pid and not self._locked:
-            self._known = False  # this time was never shared with another robot
+            self._known = False  # no other robot has used this robot's fleet time yet
         self.reference = reference
         self._followed = now
         self._estimated = -inf

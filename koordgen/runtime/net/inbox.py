@@ -94,7 +94,7 @@ class PythonInbox:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
-        if place == GROUP and self._shares:  # all robots wait for the last one on this core that has not sent
+        if place == GROUP and self._shares:  # let robots on this core send first: all robots wait for the last one
             os.sched_yield()
         return 0
 
@@ -152,7 +152,7 @@ class PythonInbox:
                     self._arrived.append(datagram)
         except BlockingIOError:
             pass
-        except OSError as error:  # error of an earlier send; more datagrams may wait
+        except OSError as error:  # the error of an earlier send; datagrams may still wait
             self._troubled = True
             self._trouble(error.errno or 0)
 

@@ -15,9 +15,9 @@ from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible
 
-MOST_ENTRY = 128 * 1024  # bytes of one robot's entry of one round
-MOST_SHARED = 256  # most variables, and so most writes of an entry
-PATCH_FROM = 256  # bytes: a shorter value is sent whole; computing a patch would cost more than it saves on the air
+MOST_ENTRY = 128 * 1024  # largest size of one robot's entry of one round, in bytes
+MOST_SHARED = 256  # largest number of shared variables, and so of writes in an entry
+PATCH_FROM = 256  # bytes; a shorter value is sent whole, because computing a patch costs more than it saves
 
 _ENTRY = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # array, index, bool

@@ -78,7 +78,7 @@ class Link:
 
     @property
     def epoch(self) -> bytes:
-        """Name of the mission that both ways belong to; empty before there is one."""
+        """Id of the mission of sent and accepted messages; empty before the mission is known."""
         return self.speech.epoch
 
     @epoch.setter
@@ -102,7 +102,7 @@ class Link:
 
     def _admitted(self, datagrams: Sequence[bytes]) -> list[ReplicaMessage]:
         """Return admitted messages; record replay window, clock stamps and statistics of each message."""
-        local = self._clock.now()  # all of them have arrived by now
+        local = self._clock.now()  # an upper bound of the arrival times
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
         arrived, decode, sessions, mission = microseconds(local), self._decode, self.sessions, self._mission
         admitted: list[ReplicaMessage] = []

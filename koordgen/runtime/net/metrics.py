@@ -11,14 +11,14 @@ from typing import Any
 PER_OCTAVE = 8  # buckets per octave: a quantile is right within 9 %
 _SHORTEST = 1e-6  # seconds
 BUCKETS = 32 * PER_OCTAVE  # up to more than an hour
-MOST_UNCOUNTED = 64  # calls of Metrics.heard
-RECENT = 512  # datagrams after which older ones count half
+MOST_UNCOUNTED = 64  # calls of Metrics.heard after which the arrivals are counted as one batch
+RECENT = 512  # datagrams after which the weight of older ones is halved
 
 
 class Histogram:
-    """Durations in seconds, in buckets of an eighth of an octave.
+    """Histogram of durations in seconds, with buckets of an eighth of an octave.
 
-    One below a microsecond counts as a microsecond."""
+    A duration below a microsecond counts as a microsecond."""
 
     __slots__ = ("_buckets", "_most")
 
@@ -38,7 +38,7 @@ class Histogram:
         return sum(self._buckets)
 
     def quantile(self, share: float) -> float:
-        """Return what at least this share of all durations does not exceed; 0 when there is none."""
+        """Return a duration that at least `share` of all durations do not exceed; 0 without durations."""
         wanted, seen, most = max(1, math.ceil(share * self.count())), 0, self._most
         for index, count in enumerate(self._buckets):
             seen += count
@@ -47,7 +47,7 @@ class Histogram:
         return most
 
     def snapshot(self) -> dict[str, float]:
-        """Return p50, p99 and max in milliseconds; empty when there was none."""
+        """Return p50, p99 and max of the durations in milliseconds; empty without durations."""
         if not self.count():
             return {}
         found = {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self._most}

@@ -10,7 +10,7 @@ import re
 
 import msgspec
 
-WORTH = 0.6  # longest patch, as a share of the new encoding: a longer one is not worth the time of applying it
+WORTH = 0.6  # longest patch as a share of the new encoding; otherwise the value is sent whole, which is faster to apply
 
 _GAP = re.compile(rb"\0{7,}")  # equal bytes that separate two runs: fewer cost less than another run's header
 _encoder = msgspec.msgpack.Encoder()

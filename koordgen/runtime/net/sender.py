@@ -1,6 +1,6 @@
-"""Encoder of one robot's messages.
+"""Sender of one robot's messages: adds heads, and divides long messages.
 
-Heads, round messages in as few datagrams as possible, long entries in fragments."""
+A round message takes as few datagrams as possible. Entries longer than a datagram are sent in fragments."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from koordgen.runtime.values.clock import Clock
 
 REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between two exchanges used by the clock
 OTHERS = 16  # robots in a fleet up to which OTHERS_EVERY holds; in a larger fleet, exchanges with each peer are rarer
-ECHOES_A_LESSON = 2  # echoes sent per exchange needed: some are lost
-MOST_DATAGRAMS = 4  # to one peer for one catch-up
+ECHOES_A_LESSON = 2  # echoes sent for each exchange that the clock needs, because some are lost
+MOST_DATAGRAMS = 4  # largest number of datagrams of one round message
 MOST_FRAGMENTS_AT_ONCE = 16
 NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
 
@@ -70,7 +70,7 @@ class MessageSender:
         self._clock = clock
         self._fleet_clock = fleet_clock
         self._sessions = sessions
-        self._sequence = 0  # of the last datagram
+        self._sequence = 0  # sequence number of the last datagram
         self._others_every = others_every(len(settings.peers))
         self._echoed: dict[int, float] = {}  # time of the last echo to each peer, the longest ago first
         self._next_echo = -math.inf  # no echo is due before
@@ -177,8 +177,8 @@ class MessageSender:
 def others_every(n_sys: int) -> float:
     """Return the seconds between exchanges with a peer that is not the reference.
 
-    They are needed in case that peer becomes the reference. At the rate of a small fleet, they would be the largest
-    cost of a large one."""
+    These exchanges are needed because that peer may become the reference. They are rarer in a large fleet, where they
+    would otherwise cost more than all other messages."""
     return OTHERS_EVERY * max(1.0, n_sys / OTHERS)
 
 

@@ -12,10 +12,14 @@ REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
 class PeerSession:
     """State of one boot of one peer, from its adoption on.
 
-    `newest`: highest sequence number received. `skipped`: lower numbers that may still be received; those up to
-    `newest` at the adoption are never accepted, as they may be recorded. `sent`: latest stamp received, in microseconds
-    of the peer's clock (-1: none); `arrived`: its time of arrival here. `round`: highest round that the peer reported.
-    `due`: local time (s) from which the fleet clock needs another exchange."""
+    newest: highest sequence number received.
+    skipped: lower sequence numbers that may still be accepted. Numbers up to `newest` at the time of the adoption are
+        never accepted, because such datagrams may be recorded ones.
+    sent: latest time stamp received, in microseconds of the peer's clock; -1: none.
+    arrived: arrival time of that stamp, in microseconds of the local clock.
+    round: highest round that the peer reported.
+    due: local time (s) from which the fleet clock needs another exchange.
+    """
 
     boot: bytes
     newest: int = 0

@@ -1,7 +1,7 @@
 /* Batch socket I/O of one robot's process: waits for datagrams, drains its sockets, and sends from the first of them.
 
-   It knows nothing of what a datagram says, allocates nothing, opens and closes nothing, and writes only where its
-   caller, socket_batch.py, tells it to. Where there is no compiler, inbox.py does the same in Python; the same
+   This code does not read the content of datagrams, allocates no memory, opens and closes no sockets, and writes only
+   into memory that its caller, socket_batch.py, owns. Without a compiler, inbox.py does the same in Python; the same
    tests run against both. socket_batch.py defines LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
 
    C99, POSIX, and Linux's recvmmsg. */
@@ -22,42 +22,43 @@
 
 enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1, PLACES = GROUP + 1 };
 
-static const int64_t SECOND = 1000000000; /* ns, as all that follows */
+/* All times are in nanoseconds. */
+static const int64_t SECOND = 1000000000;
 static const int64_t MICROSECOND = 1000;
-static const int64_t SPIN = 200000;       /* of looking without sleep: a peer that must wake has answered by then */
-static const int LOOKS = 4;               /* before it yields the core */
-static const int64_t YIELDED = 5000;      /* a yield that took longer gave the core to somebody who needs it */
-static const int64_t FIRST_PACE = 20000;  /* from one of several datagrams to the next, before it is known; */
-static const int64_t SHORT_PACE = 5000;   /* the least, */
-static const int64_t LONG_PACE = 150000;  /* and the most that is slept for each datagram that is missing */
-static const int64_t STEP = 8;            /* a part of the pace by which it changes after a gathering */
-static const unsigned long SLACK = 1000;  /* by which a sleep may end later than asked; the system's own is 50000 */
-static const int64_t LIGHT = 150000;      /* the end of a long sleep, slept alone: cores wake faster from a short one */
-static const int32_t MOST_RESTING = 64;   /* waits that do not spin after a failure */
+static const int64_t SPIN = 200000;       /* longest spinning, enough for a peer to wake and to answer */
+static const int LOOKS = 4;               /* checks of the sockets between two yields of the core while spinning */
+static const int64_t YIELDED = 5000;      /* after a longer yield spinning ends: another thread needs the core */
+static const int64_t FIRST_PACE = 20000;  /* first estimate of the time between two datagrams of a batch */
+static const int64_t SHORT_PACE = 5000;   /* least estimate of that time */
+static const int64_t LONG_PACE = 150000;  /* greatest estimate of that time */
+static const int64_t STEP = 8;            /* a gathering changes the estimate by 1/STEP of it */
+static const unsigned long SLACK = 1000;  /* timer slack of this thread; the system's default is 50000 */
+static const int64_t LIGHT = 150000;      /* last part of a long sleep: cores wake faster from a short one */
+static const int32_t MOST_RESTING = 64;   /* largest number of waits without spinning after spinning has failed */
 
-typedef struct { /* what socket_batch.py reads and writes, field by field */
-    int64_t spins, failed;              /* times that it began to spin, and that nothing came of it */
-    int64_t pace;                       /* from one of several datagrams to the next, as it was of late */
-    int32_t used, arrived;              /* slots, from the first on; those of them that hold no echo */
-    int32_t errors, error[MOST_ERRORS]; /* of receiving; socket_batch.py empties it */
-    int32_t length[MOST_AT_ONCE];       /* of what is in each slot, or ECHO */
+typedef struct { /* fields that socket_batch.py reads and writes */
+    int64_t spins, failed;              /* number of times that spinning began, and that it found nothing */
+    int64_t pace;                       /* estimated time between two datagrams of a batch */
+    int32_t used, arrived;              /* number of used slots; number of these without an echo */
+    int32_t errors, error[MOST_ERRORS]; /* number and errno of failures; socket_batch.py resets them */
+    int32_t length[MOST_AT_ONCE];       /* length of the datagram in each slot; ECHO: it is an own one */
 } Shown;
 
 typedef struct {
     Shown shown;
-    uint8_t *slots;                       /* MOST_AT_ONCE of LARGEST bytes */
-    int32_t looked;                       /* whether the last wait looked what is at the sockets */
-    int32_t shares;                       /* whether others of the group are on this computer */
-    int32_t sockets;
+    uint8_t *slots;                       /* MOST_AT_ONCE slots of LARGEST bytes for received datagrams */
+    int32_t looked;                       /* whether the last wait read the sockets */
+    int32_t shares;                       /* whether other robots of the group run on this computer */
+    int32_t sockets;                      /* number of sockets */
     struct pollfd socket[MOST_SOCKETS];
-    int32_t resting, penalty;             /* waits that will not spin yet; those after the last failure */
-    uint32_t next;                        /* in `sent` */
-    int32_t length[MOST_ECHOES];          /* of what is in `sent`, or ECHO: it has come back, or there was none */
-    uint8_t sent[MOST_ECHOES][LARGEST];   /* to the group, which gives it back to us too */
-    struct iovec place[MOST_AT_ONCE];     /* of each slot, as `message`; made once, as few are touched at a time */
-    struct mmsghdr message[MOST_AT_ONCE];
-    struct sockaddr_in6 address[PLACES];  /* where datagrams go: robots, and behind them the group; IPv4's are shorter */
-    socklen_t address_size[PLACES];       /* 0: not known */
+    int32_t resting, penalty;             /* number of next waits without spinning; its value after the last failure */
+    uint32_t next;                        /* number of the next datagram in `sent` */
+    int32_t length[MOST_ECHOES];          /* length of each datagram in `sent`; ECHO: it came back, or there is none */
+    uint8_t sent[MOST_ECHOES][LARGEST];   /* own datagrams to the group, of which the system returns a copy */
+    struct iovec place[MOST_AT_ONCE];     /* memory of each slot, in the form that `message` needs */
+    struct mmsghdr message[MOST_AT_ONCE]; /* arguments of recvmmsg, filled in once */
+    struct sockaddr_in6 address[PLACES];  /* addresses of the robots by pid, then of the group */
+    socklen_t address_size[PLACES];       /* bytes of each address; 0: unknown */
 } Inbox;
 
 static int64_t now(void) {
@@ -71,8 +72,8 @@ static int64_t least(int64_t a, int64_t b) { return a < b ? a : b; }
 size_t socket_batch_inbox_size(void) { return sizeof(Inbox); }
 size_t socket_batch_shown_size(void) { return sizeof(Shown); }
 
-/* `slots` must live as long as the inbox; `shares`: others of the group are on this computer. Of this thread, sleeps become
-   exact. */
+/* Initialise an inbox. `slots` must live as long as the inbox. `shares`: other robots of the group run on this
+   computer. Also sets the timer slack of this thread to SLACK, so that sleeps end on time. */
 void socket_batch_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int32_t count, int32_t shares) {
     memset(inbox, 0, sizeof *inbox);
     inbox->slots = slots;
@@ -89,28 +90,28 @@ void socket_batch_open(Inbox *inbox, uint8_t *slots, const int32_t *sockets, int
     prctl(PR_SET_TIMERSLACK, SLACK, 0, 0, 0);
 }
 
-/* From now on its sockets are not looked at: their numbers may become another's. What was not taken is gone. */
+/* Stop using the sockets, because the system may reuse their descriptors. Datagrams not yet received are lost. */
 void socket_batch_close(Inbox *inbox) { inbox->sockets = 0; }
 
-/* Where a place is, as the system writes addresses. One that it cannot have is none. */
+/* Set the address of a place, as a struct sockaddr. An address of an invalid size makes the place unknown. */
 void socket_batch_address(Inbox *inbox, int32_t place, const uint8_t *address, int32_t size) {
     if (place < 0 || place >= PLACES) return;
     inbox->address_size[place] = 0;
-    if ((size_t)size > sizeof inbox->address[place]) return; /* as is one of less than no bytes */
+    if ((size_t)size > sizeof inbox->address[place]) return; /* also for a negative size, which becomes large */
     memcpy(&inbox->address[place], address, (size_t)size);
     inbox->address_size[place] = (socklen_t)size;
 }
 
-/* This goes to the group. One that is too long for it comes back cut, and so unlike what was sent. */
+/* Remember a datagram to the group, to recognise its copy. The copy of one longer than LARGEST is not recognised. */
 static void remember(Inbox *inbox, const uint8_t *datagram, int32_t length) {
     uint32_t place = inbox->next++ % MOST_ECHOES;
     inbox->length[place] = length;
     memcpy(inbox->sent[place], datagram, (size_t)(length < LARGEST ? length : LARGEST));
 }
 
-/* Send to a place, or not at all: it never blocks. Returns 0 or errno. What goes to the group is remembered first, and
-   also when it fails: the system may have given it back by then. Who has sent it lets those go first that share the core
-   and have not: all wait for the last of them. */
+/* Send to a place without blocking. Returns 0 or errno. A datagram to the group is remembered before it is sent, and
+   also if sending fails, because the system may have returned its copy by then. After a send to the group the core
+   is yielded if other robots share the computer, because all robots wait for the last one that sends. */
 int32_t socket_batch_send(Inbox *inbox, int32_t place, const uint8_t *datagram, int32_t length) {
     if (!inbox->sockets) return EBADF;
     if (place < 0 || place >= PLACES || !inbox->address_size[place]) return EDESTADDRREQ;
@@ -125,7 +126,7 @@ int32_t socket_batch_send(Inbox *inbox, int32_t place, const uint8_t *datagram, 
     return 0;
 }
 
-/* Whether it is one of those that were sent; each comes back once. */
+/* Return whether a datagram is the copy of an own one. Each copy comes back once. */
 static int is_echo(Inbox *inbox, const uint8_t *datagram, int32_t length) {
     for (int i = 0; i < MOST_ECHOES; i++) {
         if (inbox->length[i] == length && !memcmp(inbox->sent[i], datagram, (size_t)length)) {
@@ -136,14 +137,14 @@ static int is_echo(Inbox *inbox, const uint8_t *datagram, int32_t length) {
     return 0;
 }
 
-/* Up to IN_TURN datagrams from one socket; whether there may be more. */
+/* Receive up to IN_TURN datagrams from one socket. Returns whether there may be more. */
 static int take(Inbox *inbox, int number) {
     int room = (int)least(IN_TURN, MOST_AT_ONCE - inbox->shown.used);
     if (!room || inbox->shown.errors == MOST_ERRORS) return 0;
     int count = recvmmsg(inbox->socket[number].fd, inbox->message + inbox->shown.used, (unsigned)room, MSG_DONTWAIT, NULL);
     if (count < 0) {
         if (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR) return 0;
-        inbox->shown.error[inbox->shown.errors++] = errno; /* an earlier send's, nothing about what waits */
+        inbox->shown.error[inbox->shown.errors++] = errno; /* an error of an earlier send; datagrams may wait */
         return 1;
     }
     for (int i = 0; i < count; i++, inbox->shown.used++) {
@@ -155,7 +156,7 @@ static int take(Inbox *inbox, int number) {
     return count == room;
 }
 
-/* What waits at the sockets, by turns, as far as there is room. */
+/* Receive all waiting datagrams from the sockets in turn, as long as there are free slots. */
 static void drain(Inbox *inbox) {
     inbox->looked = 1;
     int more = (1 << inbox->sockets) - 1; /* a bit for each socket that may have more */
@@ -164,20 +165,20 @@ static void drain(Inbox *inbox) {
             if (more >> i & 1 && !take(inbox, i)) more &= ~(1 << i);
 }
 
-/* Whether there is reason to end a wait, whatever it waits for. */
+/* Return whether a wait must end in any case: after an error, or without free slots. */
 static int full(const Inbox *inbox) { return inbox->shown.errors || inbox->shown.used == MOST_AT_ONCE; }
 
-/* Sleep, at most so long; where `wakes`, until something is at a socket. Whether something is; -1: a signal came, which
-   Python must see. */
+/* Sleep for at most `duration`; if `wakes`, only until a datagram arrives. Returns whether one has arrived; -1: a
+   signal arrived, which Python must handle. */
 static int rest(Inbox *inbox, int64_t duration, int wakes) {
     struct timespec t = {.tv_sec = (time_t)(duration / SECOND), .tv_nsec = (long)(duration % SECOND)};
     int ready = ppoll(inbox->socket, wakes ? (nfds_t)inbox->sockets : 0, &t, NULL);
     return ready < 0 ? -(errno == EINTR) : ready;
 }
 
-/* Look for what is still missing without sleeping, for to wake a core takes longer than most datagrams. Whether it has
-   come. Each time that it does not, twice as many further waits do not try; and who yields the core and does not get it
-   back at once lets it go: so it costs little where it is of no use. */
+/* Poll the sockets without sleeping, because waking a core takes longer than most datagrams need. Returns whether
+   the expected datagrams have arrived. To limit the cost where spinning does not help, each failure doubles the
+   number of further waits that do not spin, and spinning ends when a yield does not return at once. */
 static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     if (inbox->resting > 0) {
         inbox->resting--;
@@ -204,8 +205,8 @@ static int spin(Inbox *inbox, int32_t expected, int64_t end) {
     return 0;
 }
 
-/* Until so many have arrived, or the end; 0: a signal came. What comes while the end passes is left for the next look:
-   the caller has something to do now, and others may wait for it. */
+/* Wait until `expected` datagrams have arrived, or until `end`. Returns 0 if a signal arrived, else 1. A datagram
+   that arrives at `end` is left for the next call, because the caller has urgent work then. */
 static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
     for (int tried = 0; inbox->shown.arrived < expected && !full(inbox); tried = 1) {
         if (!tried && now() < end && spin(inbox, expected, end)) break;
@@ -218,19 +219,19 @@ static int wait_for(Inbox *inbox, int32_t expected, int64_t end) {
     return 1;
 }
 
-/* When the last one that was taken came, by the system's word; 0: it does not say. */
+/* Return the time at which the last received datagram arrived, by the system's time stamp; 0 without a time stamp. */
 static int64_t last_came(const Inbox *inbox) {
     struct timespec clock, came;
     int64_t age = INT64_MAX;
-    clock_gettime(CLOCK_REALTIME, &clock); /* the one that the system stamps with */
+    clock_gettime(CLOCK_REALTIME, &clock); /* the clock of the system's time stamps */
     for (int i = 0; i < inbox->sockets; i++)
         if (!ioctl(inbox->socket[i].fd, SIOCGSTAMPNS, &came))
             age = least(age, (clock.tv_sec - came.tv_sec) * SECOND + clock.tv_nsec - came.tv_nsec);
     return age < INT64_MAX ? now() - age : 0;
 }
 
-/* So many came since `begin`. The pace stays where half of the gatherings are slower: what goes wrong now and then counts
-   for little. */
+/* Update the estimated pace after `count` datagrams have arrived since `begin`. The estimate approaches the median
+   of all gatherings, because it changes by a fixed share up or down; so rare outliers have little effect. */
 static void learn(Inbox *inbox, int32_t count, int64_t begin) {
     int64_t came = last_came(inbox), pace = inbox->shown.pace;
     if (!came) return;
@@ -238,8 +239,9 @@ static void learn(Inbox *inbox, int32_t count, int64_t begin) {
     inbox->shown.pace = pace < SHORT_PACE ? SHORT_PACE : least(pace, LONG_PACE);
 }
 
-/* Until so many have arrived, or the end; 0: a signal came. To look when all should be there is cheaper than to wake
-   for each; the last one, which completes what is waited for, is worth to be seen at once. */
+/* Wait until `expected` datagrams have arrived, or until `end`. Returns 0 if a signal arrived, else 1. Sleeping
+   until all should have arrived costs less than waking for each one. Only the wait for the last one ends at its
+   arrival. */
 static int gather(Inbox *inbox, int32_t expected, int64_t begin, int64_t end) {
     int32_t before = inbox->shown.arrived, missing;
     int64_t left;
@@ -251,19 +253,19 @@ static int gather(Inbox *inbox, int32_t expected, int64_t begin, int64_t end) {
     return wait_for(inbox, expected, end);
 }
 
-/* The slots are free again. */
+/* Mark all slots as free. */
 static void empty(Shown *shown) { shown->used = shown->arrived = 0; }
 
-/* So many are to be taken; -1: there are errors, too. */
+/* Return the number of received datagrams; -1 if there are errors, too. */
 static int32_t found(const Inbox *inbox) { return inbox->shown.errors ? -1 : inbox->shown.arrived; }
 
-/* See Transport.wait; both durations are in microseconds. What was found before is kept, and counts, if it was not taken.
-   Ends early when a signal comes. Returns what it has found. */
+/* Wait as Transport.wait; both durations are in microseconds. `taken`: Python has read the datagrams found before;
+   otherwise they are kept, and count. Ends early when a signal arrives. Returns the result of `found`. */
 int32_t socket_batch_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t duration, int32_t patience) {
     Shown *shown = &inbox->shown;
     int64_t begin = now(), end = begin + MICROSECOND * duration, until = least(end, begin + MICROSECOND * patience);
     int keep = !taken && shown->used;
-    int look = keep || expected > 1 || end == begin || !inbox->looked; /* of two waits at least one looks */
+    int look = keep || expected > 1 || end == begin || !inbox->looked; /* of two successive waits, at least one reads */
     if (!keep) empty(shown);
     inbox->looked = 0;
     if (look) drain(inbox);
@@ -271,7 +273,7 @@ int32_t socket_batch_wait(Inbox *inbox, int32_t expected, int32_t taken, int32_t
     return found(inbox);
 }
 
-/* Take what waits, without waiting. Returns what it has found. */
+/* Receive the datagrams that have arrived, without waiting. Returns the result of `found`. */
 int32_t socket_batch_receive(Inbox *inbox) {
     empty(&inbox->shown);
     drain(inbox);

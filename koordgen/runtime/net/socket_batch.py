@@ -49,7 +49,10 @@ class Shown(ctypes.Structure):
 
 
 def prove(found: ctypes.CDLL) -> None:
-    """Declare the functions. Raises NotCompiled if the library does not fit this module."""
+    """Declare the library's functions to ctypes, and test it.
+
+    Raises NotCompiled if it does not fit this module.
+    """
     declare(found, "socket_batch_", _FUNCTIONS)
     if found.socket_batch_shown_size() != ctypes.sizeof(Shown):
         raise NotCompiled("the compiled socket I/O has another memory layout than Python expects")

@@ -7,11 +7,11 @@ from typing import Protocol
 
 from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS
 
-MOST_AT_ONCE = 1024  # datagrams received in one call: a flood must not keep the robot from its control loop
-LARGEST = LIMIT + 1  # bytes kept of a datagram: a length above LIMIT shows that it was too long
-IN_TURN = 64  # datagrams received from one socket before the others are served
-MOST_ECHOES = 16  # own datagrams not yet returned by the group; more than one round sends
-GROUP = MAX_ROBOTS  # place of the group; lower places are pids of robots
+MOST_AT_ONCE = 1024  # largest number of datagrams of one call, so that a flood does not stop the control loop
+LARGEST = LIMIT + 1  # bytes read of a datagram; a length above LIMIT shows that it was too long
+IN_TURN = 64  # largest number of datagrams received from one socket before the other sockets are served
+MOST_ECHOES = 16  # own datagrams remembered until the group returns their copies; more than one round sends
+GROUP = MAX_ROBOTS  # index of the group's address; lower indices are pids of robots
 Address = tuple[str, int] | tuple[str, int, int, int]  # IPv4 or IPv6, in the form of Python's sockets
 
 
@@ -33,9 +33,9 @@ class Transport(Protocol):
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
         """Wait at most `seconds` for a datagram.
 
-        First gather `expected` datagrams for up to `gather` seconds, if more than one is expected. The robot's own
-        datagrams to a group do not count. Part of the time may be spent polling. Ends early when the process gets a
-        signal."""
+        If `expected` is greater than 1, first wait up to `gather` seconds for that many datagrams. Copies of the
+        robot's own datagrams to a group do not count. Part of the time may be spent polling. The wait ends early when
+        the process gets a signal."""
         ...
 
     @property

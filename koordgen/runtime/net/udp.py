@@ -42,7 +42,7 @@ class UnicastTransport:
             if error := self._inbox.send(pid, datagram):
                 self._count("send", error)
         if self._shares and len(to) > 1:
-            os.sched_yield()  # as after what goes to a group: see Inbox.send
+            os.sched_yield()  # as after a send to a group, see Inbox.send
 
     def close(self) -> None:
         self._inbox.close()

@@ -17,7 +17,7 @@ MOST_PAYLOAD = LIMIT - MAC_SIZE
 MAX_ROBOTS = 128
 MAX_ECHOES = 8
 RELEASE_SIZE = 16  # bytes of the digest that names a release
-MOST_FRAGMENTS = 256  # of one blob
+MOST_FRAGMENTS = 256  # largest number of fragments of one entry or snapshot
 
 TOP = 2**53
 Token = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
@@ -50,9 +50,12 @@ class Echo(Wired, frozen=True):
 class Head(Wired, frozen=True):
     """Head of every datagram.
 
-    `boot`: boot id of the sender's process, random. `sequence`: increases within a boot. `epoch`: the mission; empty
-    until the sender holds all init results. `fleet`: fleet time minus the sender's clock, if known. `echoes` are
-    included as often as clocks need them."""
+    boot: random id of the sender's process.
+    sequence: number of the datagram, which increases within a boot.
+    epoch: id of the mission; empty until the sender holds all robots' init results.
+    fleet: fleet time minus the sender's clock; None if unknown.
+    echoes: echoes of the peers' datagrams, included as often as the fleet clocks need them.
+    """
 
     application: Natural
     interface: Token
@@ -171,7 +174,7 @@ class Nack(Wired, frozen=True, tag=2):
 class Fragment(Wired, frozen=True, tag=3):
     """Fragment of an encoded entry that is longer than a datagram.
 
-    `digest` is that of the whole."""
+    `digest` is the digest of the whole encoded entry."""
 
     head: Head
     author: Pid
@@ -197,8 +200,10 @@ class Prepare(Wired, frozen=True, tag=4):
 class Promise(Wired, frozen=True, tag=5):
     """Answer to Prepare.
 
-    The sender goes by `view` and has reported to have applied up to `applied` in it. `has_store`: it still has the
-    store of that round. It has voted for `accepted` in ballot `voted`.
+    view: number of the sender's latest view.
+    applied: last round that it has reported as applied in that view.
+    has_store: it still has the store of that round.
+    accepted: view that it has voted for, in ballot `voted`; None without a vote.
     """
 
     head: Head
@@ -228,7 +233,7 @@ class Accepted(Wired, frozen=True, tag=7):
 
 
 class Decided(Wired, frozen=True, tag=8):
-    """Notice that a majority has voted for this view."""
+    """Announcement of a decided view: a majority has voted for it."""
 
     head: Head
     value: View
@@ -249,7 +254,7 @@ class RejoinRequest(Wired, frozen=True, tag=9):
 
 
 class SnapshotFragment(Wired, frozen=True, tag=10):
-    """Fragment of an encoded Snapshot: number `index` of `count`. `digest` is that of the whole."""
+    """Fragment number `index` of `count` of an encoded Snapshot. `digest` is the digest of the whole."""
 
     head: Head
     round: Natural

@@ -16,8 +16,8 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.transport import MOST_AT_ONCE, CannotOpen
 from koordgen.runtime.net.wire import LIMIT
 
-MOST_WAITING = 4096  # datagrams; further ones are dropped, as by a socket's buffer
-QUEUE = 16  # datagrams to one peer that wait for the network
+MOST_WAITING = 4096  # received datagrams that may wait to be read; further ones are dropped, as by a socket's buffer
+QUEUE = 16  # largest number of datagrams to one peer that wait for the network
 NAP = 20e-6  # seconds of sleep for each missing datagram
 WAIT_BEFORE_DROP = 100  # microseconds that a send to a full queue may take
 

@@ -28,9 +28,9 @@ from koordgen.runtime.ops.orders import (
     encode,
 )
 
-MOST_AT_ONCE = 256  # datagrams in one poll: a flood costs about a millisecond and no more
-LINGER = 1.0  # seconds after a stop for which its sender may still wait for the answer
-MOST_ASKERS = 4  # simultaneous requests of the status
+MOST_AT_ONCE = 256  # largest number of datagrams handled in one poll, so that a flood costs at most about 1 ms
+LINGER = 1.0  # seconds after a stop command for which its sender may still wait for the answer
+MOST_ASKERS = 4  # largest number of status requests that are answered at the same time
 
 Report = Callable[[], Mapping[str, Any]]
 
@@ -64,7 +64,7 @@ class ControlSocket:
             ) from None
 
     def receive(self) -> tuple[bytes, Any] | None:
-        for _ in range(2):  # an error belongs to an earlier answer (ECONNREFUSED), not to a waiting datagram
+        for _ in range(2):  # after an error, which belongs to an earlier answer (ECONNREFUSED), try once more
             try:
                 return self._socket.recvfrom(LONG + 1)
             except BlockingIOError:
@@ -84,9 +84,10 @@ class ControlSocket:
 class Control:
     """Handler of control commands. Call `poll` in every turn of the agent's loop.
 
-    `secret`: 32 random bytes, new for every start of the process. `rejected` counts refused datagrams by reason. No
-    datagram has an effect before its MAC was verified. Each genuine request is answered at most once, by a datagram
-    that is not longer."""
+    secret: 32 random bytes, new for every start of the process.
+    rejected: number of refused datagrams by reason.
+    No datagram has an effect before its MAC was verified. Each authentic request is answered at most once, by a
+    datagram that is not longer, so an attacker cannot use the agent to amplify a flood."""
 
     def __init__(self, sockets: Datagrams, settings: Settings, key: bytes | None, secret: bytes) -> None:
         self.rejected: dict[str, int] = {}
@@ -107,7 +108,9 @@ class Control:
     def poll(self, now: float, phase: str, report: Report) -> bool:
         """Handle at most MOST_AT_ONCE datagrams at local time `now`. Return whether a stop was ever commanded.
 
-        `phase` is the agent's; `report` creates its status and is called at most once. Never blocks, never raises."""
+        phase: phase of the agent.
+        report: creates the agent's status report; it is called at most once.
+        Never blocks, never raises."""
         reported = False
         for _ in range(MOST_AT_ONCE):
             arrived = self._sockets.receive()
@@ -160,7 +163,7 @@ class Control:
         return ""
 
     def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
-        """Handle a stop. Only the first has an effect; repetitions are just answered."""
+        """Handle a stop command. Only the first one has an effect; repeated commands are just answered."""
         if flaw := self._flaw(challenge, now):
             return flaw
         if self._stopped_at is None:

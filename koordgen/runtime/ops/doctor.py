@@ -1,6 +1,4 @@
-"""`--doctor` and `--check`.
-
-Checks of a robot before a mission, from its files to its vehicle, without motion."""
+"""`--doctor` and `--check`: checks of a robot before a mission, from files to vehicle, without motion."""
 
 from __future__ import annotations
 
@@ -27,8 +25,8 @@ from koordgen.runtime.trace.parts import MEGABYTE, size_of
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
 
-MANY_MESSAGES = 1000  # per second: from here on a robot's rounds should run compiled
-LOOKUP = 3.0  # seconds for the lookup of all names
+MANY_MESSAGES = 1000  # messages a second from which on the shared memory's modules should be compiled
+LOOKUP = 3.0  # seconds within which all host names must be found
 
 PlatformType = Callable[[Settings, bytes | None], Platform]
 
@@ -36,11 +34,10 @@ PlatformType = Callable[[Settings, bytes | None], Platform]
 def examine(
     program: Program, root: Path, overrides: Path | None, pid: int | None, platform_type: PlatformType, drivers: Drivers
 ) -> Generator[Finding, None, None]:
-    """Yield the results of all checks as they are made.
+    """Yield the result of each check as soon as it is made.
 
-    After a failure, checks that depend on it are left out.
-
-    Close the iterator to end early: that frees its resources."""
+    After a failed check, checks that depend on it are left out. To end early, close the iterator, which frees its
+    resources."""
     clocks = Clocks()
     yield from host(root)
     try:
@@ -78,7 +75,7 @@ def _trace(path: Path, limit: float | None) -> Finding:
         return Finding("trace", "warn", f"{told}, no limit", why="the trace will fill the disk: set `trace_limit`")
     told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
     if free < limit - used:
-        why = "the disk is full before the trace is: make room, or set a lower `trace_limit`"
+        why = "the disk will be full before the trace reaches its limit: free disk space, or set a lower `trace_limit`"
         return Finding("trace", "warn", told, f"{limit - used:.0f} MB free", why)
     return Finding("trace", "ok", told)
 

@@ -30,7 +30,10 @@ def status(findings: Iterable[Finding]) -> int:
 
 
 def tell(app: str, findings: Iterable[Finding], form: Form) -> int:
-    """Print all results on standard output, as they come or as one document. Return the exit status."""
+    """Print all results on standard output, each at once or all as one JSON document.
+
+    Return the exit status.
+    """
     width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns))
     told = []
     for finding in findings:

@@ -24,8 +24,8 @@ from pathlib import Path
 from koordgen.runtime.vehicle.platform import Finding
 
 SUMS, REQUIREMENTS, SETTINGS = "SHA256SUMS", "requirements.txt", "settings.json"
-ROOM = 100_000_000  # bytes; with less, the disk is soon full
-JUMP = 0.05  # seconds by which the wall clock may deviate from the monotonic one during the checks
+ROOM = 100_000_000  # free bytes on the disk below which a warning is shown
+JUMP = 0.05  # seconds by which the wall clock may deviate from the monotonic clock during the checks
 _REQUIREMENT = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?P<relation>==|>=)\s*(?P<version>[0-9][^\s;]*)"
     r"(?:\s*;\s*python_version\s*(?P<when>[<>]=?)\s*'(?P<python>[0-9.]+)'"
@@ -36,7 +36,7 @@ _UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 def host(root: Path) -> list[Finding]:
     """Check the bundle in `root` and its computer, without settings."""
-    # always true when this line runs
+    # An older Python could not have loaded this module.
     running = Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")
     return [running, processor(), packages(root), files(root)]
 
@@ -85,7 +85,7 @@ def packages(root: Path, installed: Callable[[str], str] = version) -> Finding:
 def install_requirements(root: Path) -> str:
     """Return the command that installs the requirements of the bundle in `root`.
 
-    A virtual environment goes beside the bundle."""
+    If it needs a virtual environment, it makes one beside the bundle."""
     return pip_install(f"-r {shlex.quote(str(root / REQUIREMENTS))}", root.resolve().parent / "venv")
 
 
@@ -160,7 +160,8 @@ def _numbers(text: str) -> tuple[int, ...]:
 def files(root: Path) -> Finding:
     """Check that the bundle is complete and as built.
 
-    Settings may be edited; code may not: it was not tested, and robots of different programs refuse one another."""
+    Changed settings cause a warning, changed code an error: the changed code was not tested, and robots with different
+    programs refuse each other."""
     try:
         whole = (root / SUMS).read_text(encoding="utf-8").splitlines()
         lines = [line for line in whole if not line.startswith("#")]

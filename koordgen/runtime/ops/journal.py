@@ -23,8 +23,8 @@ _STALLED: dict[State, str] = {
     "goes on": "still no way after {:.0f} s",
     "ends": "the stall is over after {:.0f} s",
 }
-MOST_CHANGES, OFTEN = 6, 10.0  # log lines about one property within a time (s)
-MOST_UNTOLD = 8  # records of rounds that wait to be recorded
+MOST_CHANGES, OFTEN = 6, 10.0  # largest number of log lines about one property, within so many seconds
+MOST_UNTOLD = 8  # number of waiting records of rounds at which they must be written
 METRICS_EVERY = 10.0  # seconds between two metrics records in the trace
 
 T = TypeVar("T")
@@ -34,8 +34,9 @@ Emit = Callable[[str, str], None]  # level (info, warning, error) and a line
 class Journal:
     """Journal of one robot.
 
-    `round` is the present one, for log lines. `monitors` receive each round's record; a monitor that fails is switched
-    off."""
+    round: number of the present round, for log lines.
+    monitors: called with each round's record; a monitor that raises an exception is switched off.
+    """
 
     def __init__(
         self,
@@ -66,13 +67,13 @@ class Journal:
         self.round = 0
 
     def phase(self, phase: str, detail: str) -> None:
-        """Record a new phase. A detail that repeats the line before is left out."""
+        """Record a new phase of the agent. A detail that repeats the last log line is left out."""
         self._phase, self._said = phase, ""
         self._trace.phase(self._clock.now(), phase, detail)
         self._line("info", f"{phase}: {detail}" if detail and not self._last.startswith(detail) else phase)
 
     def progress(self, text: str) -> None:
-        """Record progress, once per text."""
+        """Record the progress within a phase, unless the text is the same as the last one."""
         if text and text != self._said:
             self._said = text
             self._trace.phase(self._clock.now(), self._phase, text)
@@ -96,7 +97,8 @@ class Journal:
     def monitor(self, change: Change) -> None:
         """Record a change of a property's verdict.
 
-        It is logged unless it is the first and good; for a property that changes often, not each time."""
+        It is also logged, except for a first verdict that is no violation, and for most changes of a property that
+        changes often."""
         self._trace.monitor(change)
         since, count = self._changes.get(change.word, (-math.inf, 0))
         if change.time - since > OFTEN:
@@ -135,7 +137,8 @@ class Journal:
     def view(self, view: View, names: Sequence[str], over: bool) -> None:
         """Record a new view. In view 0 all robots are members.
 
-        Once this robot's part is `over`, it is normal that others end and leave."""
+        over: this robot's mission is over. That other robots leave is normal then, so it is not logged as a warning.
+        """
         self._trace.view(self._clock.now(), view.number, view.since, view.members)
         if view.number:
             self.log("info" if over else "warning", describe(view, names))

@@ -11,9 +11,11 @@ from koordgen.runtime.net.udp import GroupTransport, UnicastTransport
 
 
 def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
-    """Return the settings of a bundle's folder with overrides and a pid; or the overrides alone.
+    """Return the settings of the bundle in `root`. Raises BadSettings.
 
-    Raises BadSettings."""
+    overrides: settings file whose values replace those of the bundle; it suffices alone if the bundle has none.
+    pid: replaces the pid of the bundle's settings.
+    """
     path = root / "settings.json"
     if path.exists():
         return load(path, overrides, pid)

@@ -4,9 +4,9 @@ A datagram is one byte `ORDER_FORMAT`, one of its kind, fields at fixed offsets,
 `seal`. This module needs only Python itself: a stop must work from any computer that has the key.
 
 Stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. Status: Ask -> Offer -> AskStatus with that
-challenge -> StatusPart. Only the agent that issued a challenge accepts it, for CHALLENGE_LIFE seconds, and its secret
-dies with its process: a recorded Stop stops no robot, and a recorded AskStatus gets no answer. The nonce in every
-answer is the sender's, random for each call, so no recorded answer is accepted either.
+challenge -> StatusPart. A challenge is accepted only by the agent that issued it, for CHALLENGE_LIFE seconds, and its
+secret is lost at the end of the process. So a recorded Stop stops no robot, and a recorded AskStatus gets no answer.
+Every answer contains the random nonce of its request, so no recorded answer is accepted either.
 
 The formats of Ask, Offer, Stop and Stopped never change: a new koordgen must be able to stop an old agent."""
 
@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from koordgen.runtime.net.seal import CONTROL, MAC_SIZE, seal, unseal
 
 ORDER_FORMAT = 1
-# bytes of a sealed datagram: requests are as long as their answers, so an agent cannot amplify a flood
+# Lengths of sealed datagrams in bytes. Requests are as long as their answers, so an agent cannot amplify a flood.
 SHORT = 96
-LONG = 1200  # of an AskStatus, and at most of its answer
-NONCE = 8
-CHALLENGE = 24
-CHALLENGE_LIFE = 10.0  # seconds
+LONG = 1200  # length of an AskStatus, and largest length of its answer
+NONCE = 8  # bytes of a nonce
+CHALLENGE = 24  # bytes of a challenge
+CHALLENGE_LIFE = 10.0  # seconds for which a challenge is accepted after it was issued
 _NAME = 32  # bytes of a robot's name or phase
 _PART = struct.Struct("!BB8sHH")
 PIECE = LONG - MAC_SIZE - _PART.size  # bytes of a status in one datagram
@@ -32,7 +32,7 @@ PIECE = LONG - MAC_SIZE - _PART.size  # bytes of a status in one datagram
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Request of the robot's identity and of a challenge for stopping it."""
+    """Request for the robot's name and for a challenge, which Stop and AskStatus must contain."""
 
     application: int
     nonce: bytes
@@ -54,7 +54,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """The agent has begun its safe end, or is past it: `phase` says how far it is."""
+    """Answer to Stop: the robot is stopping safely (`phase` is "resting"), or has stopped ("rested")."""
 
     nonce: bytes
     pid: int
@@ -63,7 +63,7 @@ class Stopped:
 
 @dataclass(frozen=True, slots=True)
 class AskStatus:
-    """Request of one piece of the status. All pieces of one nonce are of the same time."""
+    """Request for one piece of the status report. All pieces with one nonce belong to the same report."""
 
     application: int
     nonce: bytes

@@ -1,7 +1,7 @@
-"""Recent history of one robot for its status: log lines, results of rounds, shared writes.
+"""Recent history of one robot for its status report: log lines, results of rounds, shared writes.
 
-All of it is bounded, each update costs O(1), and nothing is encoded before a request. Lines are numbered from 1, rounds
-by their own numbers, so a client can merge successive reports without duplicates."""
+The history is bounded, each update costs O(1), and values are encoded only for a request. Lines are numbered from 1,
+and rounds have their own numbers, so a client can merge successive reports without duplicates."""
 
 from __future__ import annotations
 
@@ -58,13 +58,15 @@ class Recent:
             self._written[name] = round_, value
 
     def report(self, now: float, kinds: Mapping[str, str]) -> dict[str, Any]:
-        """Return plain values.
+        """Return the history as plain values. Ages are in seconds at local time `now`.
 
-        Times are ages in seconds at local time `now`; `kinds` are those of shared variables.
-
-        `lines`: [number, age, round, level, text]. `outcomes`: runs of equal outcomes, [first round, rounds, outcome,
-        detail, lateness of each (ms)]; `decided`: the age of the last. `shared`: [name, kind, round, value]; a long
-        value is {"cut": the beginning of its JSON}."""
+        kinds: kind (allread or allwrite) of each shared variable.
+        The result has these keys:
+        lines: [number, age, round, level, text] of each line.
+        outcomes: runs of equal outcomes, [first round, number of rounds, outcome, detail, lateness of each round (ms)].
+        decided: age of the last outcome.
+        shared: [name, kind, round, value] of each write; a long value is {"cut": the beginning of its JSON}.
+        """
         written = ([name, kinds[name], round_, _plain(value)] for name, (round_, value) in self._written.items())
         lines = ([number, round(now - time, 2), *more] for number, time, *more in reversed(self._lines))
         return {

@@ -22,7 +22,7 @@ from koordgen.runtime.values.points import NotANumber, transmissible
 from koordgen.runtime.values.turns import NoTurns, TooMuch, begin, made
 
 T = TypeVar("T")
-LONGEST_REASON = 300  # characters
+LONGEST_REASON = 300  # characters after which the reason of a fault is cut
 
 
 def no_ports(port: str, args: tuple[Any, ...]) -> Any:

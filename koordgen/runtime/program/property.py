@@ -1,9 +1,7 @@
-"""Base of a generated `properties.py`.
+"""Base of a generated `properties.py`: a program's properties, evaluated on values of one time.
 
-A program's properties over what is known of a fleet at one time.
-
-The caller provides the values: the simulator the true ones, a monitor on a robot those that it knows. An unknown value
-is UNKNOWN. A property that depends on an unknown value is "unknown", never held."""
+The caller provides the values. The simulator provides the true values, a monitor on a robot the values that the robot
+knows. An unknown value is UNKNOWN. A property that depends on an unknown value is "unknown", never "held"."""
 
 from __future__ import annotations
 

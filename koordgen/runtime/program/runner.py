@@ -40,7 +40,7 @@ def name_of(reason: str) -> str:
 
 
 LATE = "not finished by the round's publish deadline"
-INIT_TIME = 1.0  # seconds
+INIT_TIME = 1.0  # seconds that `init` may take
 
 Limit = Callable[[float], AbstractContextManager[None]]
 Call = Callable[[str, tuple[Any, ...]], Any]
@@ -69,8 +69,8 @@ def unlimited(seconds: float) -> AbstractContextManager[None]:
 class Interrupting:
     """Context manager that interrupts its block after `seconds` (raises Overrun), by the real-time timer.
 
-    So an endless loop cannot block the robot's control loop. One object per process, which takes over SIGALRM for good.
-    Create it in the main thread, where signals arrive."""
+    It ensures that an endless loop does not block the robot's control loop. Make only one object per process, in the
+    main thread, where signals arrive; it uses SIGALRM until the process ends."""
 
     def __init__(self) -> None:
         self._armed = False

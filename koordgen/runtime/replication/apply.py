@@ -12,7 +12,7 @@ Store = Mapping[str, Any]
 
 
 def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int:
-    """Return the robot whose commit counts among those that contend for a lock in a round.
+    """Return the robot whose transaction counts, among the robots that contend for a lock in a round.
 
     Priority rotates every round, so no robot starves.
     """
@@ -20,7 +20,7 @@ def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int
 
 
 def arbitrate(entries: Sequence[Logged], round_: int, n_sys: int) -> tuple[list[Logged], list[Logged]]:
-    """Return the commits of a round that count, one for each lock, and the plain entries."""
+    """Return the winning transactions of a round, one for each lock, and the entries without a lock."""
     contenders: dict[int, list[int]] = {}
     for logged in entries:
         if logged.entry.lock >= 0:
@@ -33,8 +33,8 @@ def arbitrate(entries: Sequence[Logged], round_: int, n_sys: int) -> tuple[list[
 def merge(layout: Layout, entries: Sequence[Logged], shared: Store, acted: list[int]) -> tuple[Store, list[int], int]:
     """Return the store with the writes of these entries, in their order.
 
-    Also returned: for each robot the last round in which an event of it counted, as a new list if one of them changes;
-    and the number of patches that fit no value, which every robot ignores alike.
+    The second result is `acted`, updated: for each robot the last round in which its event counted. It is a new list if
+    one of the rounds changes. The third is the number of patches that fit no value; every robot ignores them alike.
     """
     before, after, unfit = acted, acted, 0
     is_slots = layout.is_slots

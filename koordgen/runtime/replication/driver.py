@@ -1,7 +1,7 @@
-"""Driver of a replica: hands it messages and ticks, and carries out what it asks for.
+"""Driver of a replica: passes messages and ticks to it, and persists and sends what it returns.
 
-This is the only place that persists and sends, always in this order: a robot never says what a restart could make
-untrue.
+This is the only place that persists and sends. It always persists first, so that a restarted process never contradicts
+a message that was sent.
 """
 
 from __future__ import annotations
@@ -43,8 +43,10 @@ class Outlet(Protocol):
 class Driver:
     """Driver of one replica.
 
-    `persist` writes a hard state, `persist_private` the robot's private variables after an event. Both return once the
-    data survive the end of the process."""
+    persist: writes a hard state.
+    persist_private: writes the robot's private variables after an event.
+    Both return only after the data are safe from a crash of the process.
+    """
 
     def __init__(
         self,
@@ -58,7 +60,7 @@ class Driver:
         self._persist, self.persist_private = persist, persist_private
 
     def receive(self, messages: Sequence[ReplicaMessage]) -> None:
-        """Hand over messages that arrived, and apply the rounds that they complete."""
+        """Pass received messages to the replica, and apply the rounds that they complete."""
         step = self.replica.step
         for message in messages:
             step(message)
@@ -71,13 +73,13 @@ class Driver:
             self.run()
 
     def run(self) -> None:
-        """Persist and send, then apply what is complete: other robots may wait for the messages."""
+        """Persist and send, then apply complete rounds. Sending comes first, because other robots wait for it."""
         self.flush()
         if self.replica.apply_rounds():
             self.flush()
 
     def flush(self) -> None:
-        """Persist what must be, then send."""
+        """Persist the replica's pending state, then send its pending messages."""
         ready = self.replica.ready()
         if ready.private is not None:
             self.persist_private(ready.private)

@@ -1,7 +1,7 @@
 """Failure detector: suspects a member whose entries have been missing for too long.
 
-A view change (`views`) then decides who counts. The detector may be wrong: the protocol stays safe, and a robot that
-was suspected in error rejoins.
+A view change (`views`) then decides which robots are members. The detector may be wrong: the protocol stays safe, and a
+robot that was suspected in error rejoins.
 """
 
 from __future__ import annotations
@@ -16,17 +16,20 @@ class FailureDetector:
         self._since = [round_] * n_sys  # for each robot, the round from which on its silence counts
 
     def restart(self, pid: int, round_: int) -> None:
-        """Begin anew with a robot whose membership has changed."""
+        """Count the silence of a robot only from `round_` on, because its membership has changed."""
         self._since[pid] = round_
 
     def restart_all(self, round_: int) -> None:
-        """Begin anew with all robots: this robot itself was cut off, so silence says nothing about them."""
+        """Count the silence of all robots only from `round_` on.
+
+        Called while this robot hears no majority, because silence may then be this robot's own network failure.
+        """
         self._since = [round_] * len(self._since)
 
     def suspects(self, pids: Collection[int], arrived: Sequence[int], since: int) -> list[int]:
-        """Return those of which no new entry has arrived since round `since`.
+        """Return the robots of `pids` of which no new entry has arrived since round `since`.
 
-        `arrived`: of each robot, the round in which a new entry of it arrived last. An entry that arrives before the
-        first tick of a round is noted in the round before, so its author gets one round more.
+        arrived: for each robot, the round in which its last new entry arrived. An entry that arrives before the first
+            tick of a round is recorded for the round before, so one round is added in its author's favour.
         """
         return [p for p in pids if max(self._since[p], arrived[p] + 1) < since]

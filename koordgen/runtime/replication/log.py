@@ -14,14 +14,16 @@ import msgspec
 
 from koordgen.runtime.net.wire import Entry, Write
 
-MOST_BEHIND_GAP = 64  # entries kept while one before them is missing
-MOST_SHARING = 8  # entries per author that may keep their datagram alive; most are soon dropped
+MOST_BEHIND_GAP = 64  # largest number of one author's entries kept while an earlier entry is missing
+# Largest number of entries per author that refer to the memory of their datagram. Copying it costs time, and most
+# entries are dropped soon; later entries are copied, so that not every datagram stays in memory.
+MOST_SHARING = 8
 
 Values = Sequence[tuple[int, Any]]
 
 
 class Logged:
-    """An entry with its values, by the index of their variables."""
+    """An entry with its decoded values, as pairs (index of the variable, value)."""
 
     __slots__ = ("entry", "values")
 
@@ -31,7 +33,7 @@ class Logged:
 
     @property
     def is_single(self) -> bool:
-        """True if something was done in the entry's round; such an entry is of one round only."""
+        """True if the author did something; such an entry covers exactly one round."""
         return not is_silent(self.entry)
 
 
@@ -68,11 +70,12 @@ def _merged(before: Entry, entry: Entry) -> Entry | None:
 
 
 class Log:
-    """One robot's entries.
+    """Log of one robot's entries.
 
-    `held`: all entries up to this round have been here. `kept`: those of them that some member may still need, in
-    ascending order and without a gap; the last one ends at `held`. `later`: entries behind a gap, by their first round.
-    Invariant: every entry in `later` begins after held + 1.
+    held: all entries up to this round have arrived; some may have been dropped since.
+    kept: entries up to `held` that some member may still need, in ascending order and without a gap; the last one ends
+        at `held`.
+    later: entries behind a gap, by their first round. Invariant: each begins after held + 1.
     """
 
     __slots__ = ("held", "kept", "later")
@@ -89,7 +92,7 @@ class Log:
     def append(self, entry: Entry, values: Values) -> None:
         """Keep an entry that ends after `held`."""
         if entry.first == self.held + 1 and entry.acted and not self.later and len(self.kept) < MOST_SHARING:
-            self.kept.append(Logged(entry, values))  # nearly always, so first
+            self.kept.append(Logged(entry, values))  # by far the most frequent case, so it is tested first
             self.held = entry.round
             return
         if len(self.kept) >= MOST_SHARING or entry.first > self.held + 1:
@@ -143,7 +146,7 @@ class Log:
             del kept[: bisect_right(kept, through, key=lambda logged: logged.entry.round)]
 
     def truncate(self, last: int) -> None:
-        """Drop everything after round `last`: it does not count."""
+        """Drop all entries after round `last`, because a view change has discarded these rounds."""
         kept = self.kept
         self.later.clear()
         while kept and kept[-1].entry.first > last:
@@ -154,6 +157,6 @@ class Log:
         self.held = min(self.held, last)
 
     def skip(self, last: int) -> None:
-        """Count the rounds up to `last` as held: their author was no member in them."""
+        """Count the rounds up to `last` as held. They have no entries, because the author was no member."""
         self.held = max(self.held, last)
         self._close_gap()

@@ -18,8 +18,8 @@ NO_PARTS: Mapping[int, HeldFragments] = MappingProxyType({})
 class Vote:
     """A robot's promise and vote on view `number`, as an acceptor of Paxos.
 
-    It votes in no ballot below `promised`. In ballot `voted` it has voted for `value`.
-    Invariant: voted <= promised. Survives the process.
+    The robot votes in no ballot below `promised`. In ballot `voted` it has voted for `value`.
+    Invariant: voted <= promised. It is persisted, so that a restarted process keeps the promise.
     """
 
     number: int = 0
@@ -29,11 +29,14 @@ class Vote:
 
 
 class HardState(msgspec.Struct, frozen=True, gc=False):
-    """Facts that a robot must not contradict.
+    """Facts that a robot must not contradict, also after a restart.
 
-    They are on disk before a message that depends on them is sent.
+    They are persisted before a message that depends on them is sent.
 
-    `applied` is the last round that the robot has reported as applied in `view`, or is about to."""
+    view: latest view known to be decided.
+    applied: last round that the robot has reported as applied in `view`, or is about to report.
+    vote: promise and vote on a later view.
+    """
 
     view: View
     applied: int
@@ -41,10 +44,12 @@ class HardState(msgspec.Struct, frozen=True, gc=False):
 
 
 class Send(msgspec.Struct, frozen=True, gc=False):
-    """A message to some robots: its class in `wire`, and its fields without the head.
+    """A message to some robots.
 
-    The last field of a Round holds log entries. Of an entry that is longer than a datagram, the fragments in
-    `received` (by author) are not sent: the receiver has them.
+    to: pids of the receivers.
+    kind: class of the message in `wire`.
+    fields: its fields without the head. The last field of a RoundMessage holds log entries.
+    received: by author, fragments that the receiver has of an entry longer than a datagram; they are not sent again.
     """
 
     to: Sequence[int]
@@ -56,8 +61,8 @@ class Send(msgspec.Struct, frozen=True, gc=False):
 class Applied(msgspec.Struct, frozen=True, gc=False):
     """Progress of the store. Invariant: committed <= applied.
 
-    `applied`: the store contains all rounds up to this one. `committed`: no later view can leave out a round up to this
-    one, so its outputs may leave the robot.
+    applied: the store contains all rounds up to this one.
+    committed: no later view can discard a round up to this one, so the outputs of these rounds may leave the robot.
     """
 
     applied: int
@@ -74,5 +79,5 @@ class Ready(msgspec.Struct, frozen=True, gc=False):
     private: object = None  # the robot's own variables after the event whose entry is in `send`
     send: Sequence[Send] = ()
     apply: Applied | None = None
-    rejected: Sequence[str] = ()  # reasons why messages were refused, to be counted
-    requested: Sequence[int] = ()  # robots whose entries are missing and were asked for
+    rejected: Sequence[str] = ()  # reasons why messages were refused, for the statistics
+    requested: Sequence[int] = ()  # robots whose missing entries were requested, for the statistics

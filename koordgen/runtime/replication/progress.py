@@ -1,6 +1,6 @@
-"""Progress of the peers by their last reports: rounds applied and entries missing.
+"""Progress of the peers according to their last reports, and the commit index that follows from it.
 
-Yields the commit index."""
+A report says which rounds its sender has applied, and which entries it still needs."""
 
 from __future__ import annotations
 
@@ -27,23 +27,27 @@ class Progress:
     view: int = -1  # view of its last report; -1: none since it was admitted
     applied: int = 0  # the last round that it has reported as applied in that view
     wanted: int = 0  # the last round whose entries it needs
-    lacks: bool = False  # it lacks entries up to `wanted` that were not sent since its report
-    held: Sequence[int] = ()  # at that report: for each robot, the last round that it holds; empty: `applied` for all
+    lacks: bool = False  # the peer lacks entries up to `wanted`, and none were sent to it since its report
+    held: Sequence[int] = ()  # at that report: for each author, the last round held; empty: `applied` for all
     informed: int = -1  # tick at which the present view was last sent to it
     asked_to_join: int = LONG_AGO  # tick of its last request to be admitted
     received: Mapping[int, HeldFragments] = field(
         default_factory=dict
-    )  # by author: fragments of the next entry that it has
+    )  # by author: fragments that the peer has of the author's next entry
 
     def reset(self) -> None:
         """Forget the reports: the peer is no member any more, or has a new incarnation."""
         self.view, self.applied, self.wanted, self.lacks = -1, 0, 0, False
 
     def report(self, view: int, applied: int, held: Sequence[int], wanted: int, again: bool) -> bool:
-        """Record a report. Return whether the peer has applied more rounds.
+        """Record a report. Return whether the peer has applied more rounds or entered a later view.
 
-        `held`: for each robot, the last round that the peer holds; empty: `applied` for all. `wanted`: the last round
-        whose entries the peer needs. `again`: the peer repeats its request."""
+        view: view of the report.
+        applied: last round that the peer has applied in that view.
+        held: for each author, the last round whose entries the peer holds; empty: `applied` for all.
+        wanted: last round whose entries the peer needs.
+        again: the peer repeats its request.
+        """
         moved = view >= self.view and applied >= self.applied and (applied > self.applied or view > self.view)
         if moved:
             self.view, self.applied = view, applied
@@ -58,10 +62,10 @@ class Progress:
 
 
 def commit_index(peers: Collection[Progress], view: View, applied: int) -> int:
-    """Return the last round that no later view can leave out.
+    """Return the last committed round: no later view can discard it.
 
-    That is a round that a majority has reported as applied in `view`, this robot included, or one before `view` began.
-    Invariant: the result is at most `applied`.
+    A round is committed if a majority, this robot included, has reported it as applied in `view`, or if it is before
+    the beginning of `view`. Invariant: the result is at most `applied`.
     """
     needed = majority(len(peers) + 1) - 1  # reports of others
     if needed == 0:

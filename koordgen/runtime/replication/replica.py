@@ -39,18 +39,22 @@ from koordgen.runtime.replication.retransmission import (
 from koordgen.runtime.replication.state_machine import AHEAD, StateMachine
 from koordgen.runtime.replication.views import Report, Views, is_possible
 
-TICKS = 5  # in a round
-REQUEST_TICK = 3  # from this tick of a round on, entries of this round are requested, before it those of the last round
-JOIN_TICKS = 3 * TICKS  # for which a request to join is valid
-HEARD_TICKS = 2 * TICKS  # for which a robot counts as reachable after a message
-SETTLE_AFTER = 3  # rounds that `settled` may stay behind
+TICKS = 5  # number of ticks in a round
+REQUEST_TICK = 3  # from this tick of a round on, entries of this round are requested; before it, of the last round
+JOIN_TICKS = 3 * TICKS  # ticks for which a request to join is valid
+HEARD_TICKS = 2 * TICKS  # ticks for which a robot counts as reachable after a message
+SETTLE_AFTER = 3  # rounds by which `settled` may lag behind `applied` before it is computed again
 
 
 class Replica:
     """Replica of one robot.
 
-    `state` is its copy of the store, or None if it has no valid one: after a restart of its process, or after a view
-    without it. `hard_state` is the last persisted one. `room`: bytes of a message for a fragment of a snapshot."""
+    state: the robot's copy of the store; None if it has no valid one, after a restart of its process or after a view
+        without it.
+    hard_state: the last persisted hard state.
+    peer_timeout: rounds without entries after which a member is suspected.
+    room: bytes of a datagram that a fragment of a snapshot may fill.
+    """
 
     def __init__(
         self,
@@ -68,7 +72,7 @@ class Replica:
         self.peers = {p: Progress() for p in self._others}
         self._tick, self.round = 0, 1  # the present tick and round
         self.state = state
-        # store at the beginning of a view without this robot, in case all others die
+        # The store at the beginning of a view without this robot. It is used again if no other robot has the store.
         self._spare: StateMachine | None = None
         self.rejoin = None if state is not None else Rejoin(pid, hard_state.view.number)
         self.acknowledged = hard_state.applied  # the last round that this robot has reported as applied, or may report
@@ -95,7 +99,7 @@ class Replica:
 
     @property
     def is_out(self) -> bool:
-        """True if this robot is no member at present, or has no store."""
+        """True if this robot has no valid store, because it restarted, was no member, or lost it."""
         return self.state is None
 
     @property
@@ -185,7 +189,7 @@ class Replica:
     # The robot's own rounds.
 
     def skip_rounds(self, through: int, stopped: bool) -> None:
-        """Close rounds that the robot slept through. Their entry is sent with the next one."""
+        """Close rounds that passed before the robot woke. Their silent entry is sent with the next entry."""
         state = self.state
         if state is not None and state.logs[self.pid].held < through:
             state.close(through, {}, stopped=stopped)
@@ -194,8 +198,8 @@ class Replica:
                 awaits_commit: bool = False, lock: int = -1, private: object = None) -> None:  # fmt: skip
         """Close a round and send its entry; see StateMachine.close.
 
-        `private` is persisted before the entry is sent. Peers that lack entries are sent those, too, unless the robot
-        is short of time.
+        `private` is persisted before the entry is sent. Peers that lack older entries get those, too, unless this robot
+        is late.
         """
         self._private = private
         first, self.published = self.published + 1, round_
@@ -222,7 +226,7 @@ class Replica:
         self._send_round(self._others, round_)
 
     def acknowledge(self, round_: int) -> None:
-        """Send a progress report to the robots that wait for this robot to apply the last round."""
+        """Send a progress report to the robots whose outputs of the last applied round wait for a commit."""
         if self.state is not None:
             self._send_round([p for p in self.state.awaiting if p != self.pid], round_)
 
@@ -255,15 +259,15 @@ class Replica:
         return True
 
     def _is_lost(self, state: StateMachine, missing: Sequence[int]) -> bool:
-        """Return whether entries of these robots were sent: later ones are here, or another robot has them."""
+        """Return whether entries of these robots were lost: later ones arrived, or a peer has applied more."""
         applied = max([peer.applied for peer in self.peers.values()], default=0)
         return any(state.logs[p].later or state.logs[p].held < applied for p in missing)
 
     def _lacked_entries(self, state: StateMachine, pid: int, helps: bool) -> list[Entry]:
         """Return the entries that a peer lacked by its last report, once for each report.
 
-        Unless this robot `helps`, these are only its own. Own entries come first, so that several robots that answer at
-        once begin with different ones.
+        helps: also return entries of other authors, not only this robot's own. Own entries come first, so that several
+            robots that answer at the same time begin with different entries.
         """
         peer = self.peers[pid]
         if not peer.lacks or state.view.members[pid] < 0:
@@ -279,11 +283,10 @@ class Replica:
     # Time.
 
     def tick(self, tick: int) -> bool:
-        """Begin a tick, counted from round 1.
+        """Begin a tick, counted from the beginning of round 1.
 
-        Check for suspects and joining robots, and continue an own rejoin.
-
-        Return False if there was nothing to do, as at the beginning of nearly all rounds."""
+        Check for suspected and joining robots, and continue this robot's own rejoin. Return False if there was nothing
+        to do, as at the beginning of nearly all rounds."""
         self._tick = self.views.tick = tick
         self.round = tick // TICKS + 1
         if self.emergency:
@@ -312,9 +315,9 @@ class Replica:
     def _is_stranded(self) -> bool:
         """Return whether this robot lacks entries that it will never get.
 
-        That is so if it has heard a majority for 2 * `peer_timeout` rounds and applied nothing, while a majority has
-        applied more: robots that had the missing entries have failed since, or got them only in a snapshot. A majority
-        without this robot has all committed rounds, so its store may be lost.
+        That is so if for 2 * `peer_timeout` rounds it has heard a majority and applied no round, while a majority has
+        applied more. The robots that had the missing entries have failed since, or got their effects in a snapshot. A
+        majority without this robot has all committed rounds, so this robot may discard its store and rejoin.
         """
         state = self.state
         if state is None or state.applied != self._moved[0] or not state.lacking:
@@ -333,7 +336,7 @@ class Replica:
         return self._detector.suspects(missing, self.state.arrived, last)
 
     def apply_rounds(self) -> bool:
-        """Apply the rounds of which all entries are here. Return whether there was one."""
+        """Apply all rounds whose entries are complete. Return whether there was one."""
         state = self.state
         if state is None or not state.apply_rounds():
             return False
@@ -345,7 +348,7 @@ class Replica:
     # Messages.
 
     def step(self, message: ReplicaMessage) -> None:
-        """Handle a message of another robot. It is authentic and of this mission."""
+        """Handle a message of another robot, which `link` has found authentic and of this mission."""
         sender = message.head.pid
         peer = self.peers[sender]
         peer.heard = self._tick
@@ -384,7 +387,10 @@ class Replica:
             state.settle(min(settled, state.applied))
 
     def _is_possible(self, applied: int, held: Sequence[int], latest: int) -> bool:
-        """Return whether a progress report is possible now; reject it if not. `latest`: any later round in it."""
+        """Return whether the rounds in a progress report are possible now; count a rejection if not.
+
+        latest: greatest other round in the report.
+        """
         last = self.round + AHEAD
         if applied <= last and latest <= last and (not held or (len(held) == self._n and max(held) <= last)):
             return True
@@ -404,7 +410,7 @@ class Replica:
         has_ours = message.held[self.pid] >= through  # it needs only entries of other robots
         helps = has_ours or is_helper(self.pid, sender, self.round, self._n)
         entries = self._lacked_entries(state, sender, helps)
-        if entries or has_ours:  # otherwise this robot's entry is still to come, and will go to all
+        if entries or has_ours:  # otherwise this robot's entry is not closed yet, and will be sent to all robots
             self._send_round([sender], self.round, entries, received)
 
     def _fragment(self, fragment: Fragment) -> None:
@@ -433,7 +439,7 @@ class Replica:
         """Handle a fragment of a snapshot."""
         rejoin, view = self.rejoin, self.views.view
         if rejoin is None or rejoin.incarnation(view) < 0 or self.views.is_frozen:
-            return  # a promise forbids a store with more rounds than it reported
+            return  # this robot has promised for a view, so it must not get a store with more rounds than it reported
         found = rejoin.step(fragment, self._tick)
         if isinstance(found, str):
             self._reject(found)
@@ -456,7 +462,7 @@ class Replica:
         self._detector.restart_all(self.round)
 
     def _lose_store(self, since: int) -> None:
-        """Continue without a store, and ask to be admitted by a view after number `since`."""
+        """Discard the store, and begin a rejoin by a view with a number greater than `since`."""
         self.rejoin = Rejoin(self.pid, since, arrived=self._tick)
         self._replace(None)
 
@@ -490,7 +496,7 @@ class Replica:
             self.state.is_frozen = self.views.is_frozen
 
     def promise_report(self) -> Report:
-        """Return this robot's report for a promise. From now on it counts as reported."""
+        """Return this robot's report for a promise. The applied round in it counts as reported from now on."""
         if self.state is not None:
             self.acknowledged = self.state.applied
         return Report(self.views.view.number, self.acknowledged, self.state is not None or self._spare is not None)
@@ -498,8 +504,9 @@ class Replica:
     def _holds_all(self, value: View) -> bool:
         """Return whether this robot may vote for a view.
 
-        It may not if the view would make it lose its store, or it lacks earlier entries, or it has no store and is no
-        member of the view. Otherwise the entries that such a view begins with could be held by one robot alone."""
+        It must not vote if the view would make it lose its store, if it lacks entries of rounds before the view, or if
+        it has no store and is no member of the view. The voters are a majority, so this rule ensures that not only one
+        robot holds the entries before the view."""
         state, last = self.state, value.since - 1
         if state is None:
             return value.members[self.pid] >= 0
@@ -527,7 +534,11 @@ class Replica:
                 self.rejoin.silent = None
 
     def _leave(self, before: View, is_next: bool) -> None:
-        """Rewind the store to the beginning of the view, keep it as spare, or lose it."""
+        """Handle a view that removed this robot, gave it a new incarnation, or is not the next one.
+
+        The store is rewound to the beginning of the view if possible. If the robot is admitted again, it continues with
+        that store. Otherwise the store is kept as spare, or discarded, and the robot rejoins.
+        """
         view, last = self.views.view, self.state or self._spare
         kept = last if last is not None and is_next and last.rewind(view) else None
         if self.state is not None:

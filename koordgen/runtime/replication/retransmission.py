@@ -1,10 +1,8 @@
-"""Retransmission policy.
+"""Retransmission policy: when a robot requests missing entries (NACK), and from which robots.
 
-When to request missing entries (NACK) and from whom, and when to repeat own ones.
-
-A robot that wakes late shares a busy computer, and the other robots may be as late. Its missing entries are then late
-rather than lost, and a fleet that is short of time must not spend it on requests. Loss is detected soon: a later entry
-of the same robot arrives, or another robot reports that it has the entry."""
+A robot that wakes late probably runs on a busy computer, and the other robots may be late as well. Their missing
+entries are then late rather than lost, and requests would only cost more time. Loss is distinguished from lateness: an
+entry is lost if a later entry of its author has arrived, or another robot reports that it has the entry."""
 
 from __future__ import annotations
 
@@ -15,17 +13,17 @@ FEW = 5  # missing entries or reports that may have been lost; if more are missi
 HELPERS = 5  # robots that repeat third robots' entries at the same time
 LATE_FOR = 1  # rounds for which a robot remembers that it woke late
 QUIET = 4  # rounds after which a late robot requests again entries that are probably late, too
-LOSSY_FOR = 16  # rounds for which a robot remembers that something was lost
-SMALL = 8  # robots that may all send requests at once for entries not known to be sent
-ASKERS = 2  # robots of a larger fleet that may do so in each round
+LOSSY_FOR = 16  # rounds for which a robot remembers that an entry was lost
+SMALL = 8  # largest fleet in which all robots may request entries in one round that may not have been sent yet
+ASKERS = 2  # number of robots of a larger fleet that may do so in one round
 
 
 @dataclass(slots=True)
 class RetransmissionPolicy:
-    """Policy of robot `pid` in a fleet of `n_sys`. Rounds only increase.
+    """Retransmission policy of robot `pid` in a fleet of `n_sys` robots. Call it with ascending rounds.
 
-    A punctual robot may send requests at every tick. A late robot sends them once a round, or less often if nothing is
-    known to be lost."""
+    A punctual robot may send requests at every tick. A late robot sends them at most once a round, or less often if no
+    entry is known to be lost."""
 
     pid: int
     n_sys: int
@@ -41,7 +39,7 @@ class RetransmissionPolicy:
             self._late = round_
 
     def is_strained(self, round_: int) -> bool:
-        """Return whether the robot is late, or was in the round before."""
+        """Return whether the robot is late, or was late in the last LATE_FOR rounds."""
         return round_ <= self._late + LATE_FOR
 
     def is_hurried(self, round_: int) -> bool:
@@ -51,17 +49,21 @@ class RetransmissionPolicy:
     def waits(self, round_: int) -> bool:
         """Return whether the robot keeps a round open while it lacks entries of the round before.
 
-        A fleet that waits in every round has only half of each for work that takes a whole one, and never catches up.
-        So a hurried robot skips every second such round at once, until all entries arrive in time again."""
+        If a late fleet waited until the publish deadline in every round, only half of each round would be left for
+        work, and the fleet would never catch up. So a hurried robot closes every second such round at once, without an
+        event, until all entries arrive in time again."""
         if round_ != self._lagging:
             again, self._lagging = round_ == self._lagging + 1, round_
             self._waits = not (again and self.is_hurried(round_))
         return self._waits
 
     def asks(self, round_: int, on_time: bool, lost: bool) -> bool:
-        """Return whether the robot requests missing entries now; `lost`: some are known to have been sent.
+        """Return whether the robot requests missing entries now.
 
-        Without recent loss, all other robots may be late. Then only ASKERS of a large fleet send requests, in turn."""
+        on_time: the robot woke when it was due.
+        lost: some of the missing entries are known to have been sent.
+        Without recent loss, all other robots may be late. Then only ASKERS robots of a large fleet send requests in a
+        round, and take turns."""
         if lost:
             self._lost = round_
         elif round_ > self._lost + LOSSY_FOR and self.n_sys > SMALL and not self._has_turn(round_):
@@ -79,11 +81,14 @@ class RetransmissionPolicy:
 def recipients(
     missing: Sequence[int], unaware: Sequence[int], others: Sequence[int], turn: int
 ) -> tuple[Sequence[int], list[list[int]]]:
-    """Return the authors whose `missing` entries are requested, and lists of recipients.
+    """Return the authors whose entries are requested, and groups of recipients of the requests.
 
-    Requests go to these authors, to one of the `others` that may hold their entries, and to the robots in `unaware`,
-    whose reports are missing. If many are missing, only one author is asked, a different one each `turn`: in a large
-    fleet, requests of all to all would take the time that the entries need."""
+    missing: authors of missing entries.
+    unaware: robots whose reports are missing; they get the request, too.
+    others: all other robots; one of them that may hold the entries gets the request, too.
+    turn: if more than FEW entries are missing, only one author is asked, a different one each turn, because requests
+        from all robots to all others would delay the entries of a large fleet.
+    """
     authors = some(missing, turn)
     rest = [p for p in others if p not in missing] if missing else []
     to = sorted({*authors, *rest[turn % max(1, len(rest)) :][:1], *some(unaware, turn)})
@@ -92,17 +97,20 @@ def recipients(
 
 
 def is_helper(pid: int, other: int, round_: int, n_sys: int) -> bool:
-    """Return whether it is this robot's turn to repeat third robots' entries to another robot.
+    """Return whether it is this robot's turn to send entries of third robots again to robot `other`.
 
-    If all did so at once, a large fleet with one late robot would have no time for other work."""
+    Only HELPERS robots do so in one round. If all did, a large fleet with one late robot would do nothing else."""
     return (pid - other - round_) % n_sys < HELPERS
 
 
 def is_fleet_late(missing: int, n_sys: int) -> bool:
-    """Return whether so many entries are missing that the fleet is late. Loss alone loses fewer."""
+    """Return whether so many entries are missing that the fleet must be late.
+
+    Loss alone affects fewer entries.
+    """
     return missing > max(FEW, n_sys // 2)
 
 
 def some(pids: Sequence[int], turn: int) -> Sequence[int]:
-    """Return all robots if they are few, otherwise one of them, a different one each `turn`."""
+    """Return all robots of `pids` if they are at most FEW, else one of them, a different one each `turn`."""
     return pids if len(pids) <= FEW else [pids[turn % len(pids)]]

@@ -1,6 +1,6 @@
 """View schedule: the view of each round, from the next round to be applied on.
 
-Usually there is one view."""
+It usually contains one view. It contains several while rounds of an old view are still to be applied."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ FAR = 2**53  # a round that is never reached
 
 
 class Schedule:
-    """Views from `first` on, which is the view of the next round to be applied.
+    """View schedule, which begins with the view of the next round to be applied.
 
-    `members` are the robots in `first`. `is_single`: no later view is known. Invariant: the views have consecutive
-    numbers, and each begins no earlier than the one before it."""
+    first: the view of that round.
+    members: pids of the members of `first`.
+    is_single: no later view is known.
+    Invariant: the views have consecutive numbers, and each begins no earlier than the one before it."""
 
     def __init__(self, view: View) -> None:
         self._views = [view]
@@ -44,7 +46,7 @@ class Schedule:
         return min((v.since - 1 for v in self._views if v.since > round_), default=FAR)
 
     def valid_part(self, entry: Entry) -> Entry | None:
-        """Return the part of an entry during which its author was a member with that incarnation, or None."""
+        """Return the part of an entry in whose rounds its author was a member with that incarnation, or None."""
         author, incarnation = entry.author, entry.incarnation
         if self.at(entry.round).members[author] == incarnation:
             return entry

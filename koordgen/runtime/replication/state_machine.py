@@ -1,10 +1,8 @@
-"""Replicated state machine.
+"""Replicated state machine: one robot's copy of the shared store, and the logs that determine it.
 
-One robot's copy of the shared store, and the logs of all robots that it is made from.
-
-S_r is the store at the beginning of round r. S_1 is made of initial values and everyone's `init`; S_{r+1} is S_r with
-the entries of round r applied, of the robots that are members in it: first one commit for each lock, then the plain
-writes by ascending pid. So two robots that have applied the same rounds have equal stores."""
+S_r is the store at the beginning of round r. S_1 consists of the initial values and the results of all robots' `init`.
+S_{r+1} is S_r with the entries of round r applied, of all robots that are members in round r: first one transaction for
+each lock, then the plain writes by ascending pid. So two robots that have applied the same rounds have equal stores."""
 
 from __future__ import annotations
 
@@ -18,14 +16,14 @@ from koordgen.runtime.replication.log import Log, Logged
 from koordgen.runtime.replication.schedule import Schedule
 
 AHEAD = 8  # rounds that a peer's clock may be ahead of this robot's
-DROP_EVERY = 4  # rounds: visiting all logs costs more than keeping some entries a little longer
-WINDOW = 256  # entries of one author that not every member holds; an author with more runs no events
-NO_INCARNATION = -2  # equals the incarnation of no entry and of no robot
-MOST_PAST = 16  # stores kept before those that are no longer needed are dropped
+DROP_EVERY = 4  # rounds between two drops of settled entries, because each drop visits all logs
+WINDOW = 256  # number of unsettled entries of one author from which on this author runs no events
+NO_INCARNATION = -2  # a number that is never an incarnation
+MOST_PAST = 16  # number of past stores at which those that are no longer needed are dropped
 
 
 class StateMachine:
-    """One robot's copy of the store, and the logs.
+    """One robot's copy of the store, and the logs of all robots.
 
     Invariant: settled <= committed <= applied <= last own entry held."""
 
@@ -100,7 +98,7 @@ class StateMachine:
 
     @property
     def all_stopped(self) -> int | None:
-        """The round by which every member had stopped, as far as rounds are applied; None if some have not."""
+        """The round by which all members had stopped, in the applied rounds; None if some have not stopped."""
         rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
         return None if None in rounds else max(r for r in rounds if r is not None)
 
@@ -177,7 +175,7 @@ class StateMachine:
             self.lacking -= 1
 
     def settle(self, through: int) -> None:
-        """Record that every member holds all entries up to a round. They are dropped later."""
+        """Record that every member holds all entries up to round `through`; these entries are dropped later."""
         if through > self.settled:
             self.settled = through
             if through >= self._dropped + DROP_EVERY:
@@ -232,7 +230,7 @@ class StateMachine:
         self._update()
 
     def _keep_past(self) -> None:
-        """Keep the present store, and drop those before the last committed one."""
+        """Keep the present store for `rewind`, and drop stores older than the last committed one."""
         past = self._past
         if len(past) >= MOST_PAST:
             for index in range(len(past) - 1, 0, -1):
@@ -259,7 +257,7 @@ class StateMachine:
     def adopt(self, view: View) -> None:
         """Switch to the next view.
 
-        Entries from its beginning on are dropped if their authors are no longer members or have a new incarnation."""
+        Entries of the view's rounds are dropped if their authors are no longer members or have a new incarnation."""
         self._truncate(view)
         self._schedule.append(view)
         self.view = view
@@ -267,11 +265,10 @@ class StateMachine:
         self._update()
 
     def rewind(self, view: View) -> bool:
-        """Switch to the next view, and rewind to the store with which it begins.
+        """Switch to the next view, and rewind the store to the beginning of the view.
 
-        Return False if that store is gone.
-
-        For a robot that has applied more than the majority. Its events since then do not count."""
+        Return False if that store is no longer kept. Used by a robot that has applied more rounds than the view keeps;
+        its events of those rounds do not count."""
         last = view.since - 1
         found = next(((shared, acted) for round_, shared, acted in reversed(self._past) if round_ <= last), None)
         if found is None or self.applied < last:

@@ -4,8 +4,8 @@ Each view is decided by one instance of Paxos (Lamport, "The part-time parliamen
 also those that are no members at present. The proposer derives the value of view w+1 from the promises that it
 received:
 
-- Members are the robots that promised. Robots that still have the store keep their incarnation; the others get a new
-one and need a state transfer.
+- The members are the robots that promised. Robots that still have the store keep their incarnation; the others get a
+new one and need a state transfer.
 - The rounds of view w end with the last one that a majority may have reported as applied: no committed round is lost.
 
 A robot that has promised applies no further round until the view is decided (it is frozen). A robot votes only if it
@@ -22,15 +22,18 @@ from koordgen.runtime.net.wire import MAX_ROBOTS, Accept, Accepted, Ballots, Dec
 from koordgen.runtime.replication.messages import Send, Vote
 from koordgen.runtime.replication.progress import majority
 
-STAGGER = 10  # ticks of waiting per rank, so that proposers do not outbid one another
-GRACE = 5  # ticks that a proposer with a majority waits for further expected robots
+STAGGER = 10  # ticks by which each further robot delays its proposal, so that proposers do not outbid one another
+GRACE = 5  # ticks that a proposer with promises of a majority waits for promises of further expected robots
 
 
 class Report(NamedTuple):
     """Report of a robot with its promise.
 
-    `view`: its latest view. `applied`: the last round that it has reported as applied in it. `has_store`: it is a
-    member and still has the store after that round. `accepted`: the value it has voted for, in ballot `voted`."""
+    view: number of its latest view.
+    applied: last round that it has reported as applied in that view.
+    has_store: it still has the store after that round.
+    voted: ballot in which it has voted. accepted: view that it voted for; None without a vote.
+    """
 
     view: int
     applied: int
@@ -40,7 +43,10 @@ class Report(NamedTuple):
 
 
 def promise(vote: Vote, number: int, ballot: int) -> Vote | None:
-    """Return the vote after a promise for view `number`, or None if the robot is bound to a higher ballot."""
+    """Return the vote state after a promise for view `number`.
+
+    None if a promise for a higher ballot forbids it.
+    """
     if number > vote.number:
         return Vote(number, ballot)
     if number < vote.number or ballot < vote.promised:
@@ -49,7 +55,7 @@ def promise(vote: Vote, number: int, ballot: int) -> Vote | None:
 
 
 def accept(vote: Vote, ballot: int, value: View) -> Vote | None:
-    """Return the vote after one for `value`, or None if the robot is bound to a higher ballot."""
+    """Return the vote state after a vote for `value`; None if a promise for a higher ballot forbids it."""
     if value.number < vote.number or (value.number == vote.number and ballot < vote.promised):
         return None
     return Vote(value.number, ballot, ballot, value)
@@ -67,11 +73,11 @@ def bound_value(reports: Mapping[int, Report], absent: int, n_sys: int) -> View 
 def choose(view: View, reports: Mapping[int, Report]) -> View | None:
     """Return the successor of `view` that its proposer may put to the vote.
 
-    None if promises do not suffice.
+    None if the promises do not suffice.
 
-    The rounds of `view` end with the last one that a majority may have reported as applied, counting absent robots and
-    robots that lost their store. A robot that has applied more becomes a new incarnation with the store of that round;
-    its events since then do not count."""
+    The rounds of `view` end with the last one that a majority may have reported as applied. Absent robots are counted
+    as if they had reported it, and robots that lost their store by their last reports. A robot that has applied more
+    gets a new incarnation and returns to the store of that round; its events since then do not count."""
     n_sys = len(view.members)
     absent = n_sys - len(reports)
     if len(reports) < majority(n_sys):
@@ -97,7 +103,7 @@ def choose(view: View, reports: Mapping[int, Report]) -> View | None:
 
 
 def is_possible(view: View, n_sys: int) -> bool:
-    """Return whether `view` can be a view of a fleet of `n_sys` robots at all."""
+    """Return whether `view` is a valid view for a fleet of `n_sys` robots."""
     members = [m for m in view.members if m >= 0]
     return (
         len(view.members) == n_sys
@@ -121,7 +127,14 @@ def describe(view: View, names: Sequence[str]) -> str:
 class _Proposal:
     """Proposal of this robot for the next view.
 
-    `promised_at`: the tick at which a majority had promised. `value` is put to the vote once it is set."""
+    ballot: ballot of the proposal.
+    begun: tick at which it began.
+    reports: reports of the robots that promised, by pid.
+    expected: robots whose promises are expected.
+    promised_at: tick at which a majority had promised; None before.
+    value: view that was put to the vote; None before.
+    votes: robots that voted for it.
+    """
 
     ballot: int
     begun: int
@@ -133,11 +146,14 @@ class _Proposal:
 
 
 class Views:
-    """Acceptor, and if needed proposer, on one robot. Methods return messages to send.
+    """Acceptor, and if needed proposer, of views on one robot. Methods return messages to send.
 
-    `view`: the latest view known to be decided. `vote`: see Vote; the caller persists both before it sends. `report`
-    returns the robot's present report. `holds_all` returns whether it may vote for a view: with a store, only if it
-    holds the entries of all rounds before it. `adopted` is called with the previous view."""
+    view: latest view known to be decided.
+    vote: promise and vote (see Vote). The caller persists `view` and `vote` before it sends the messages.
+    report: returns the robot's present report.
+    holds_all: returns whether the robot may vote for a view (see Replica._holds_all).
+    adopted: called with the previous view after a new view was adopted.
+    """
 
     def __init__(
         self, pid: int, view: View, vote: Vote, report: Callable[[], Report], holds_all: Callable[[View], bool],
@@ -162,7 +178,7 @@ class Views:
 
     @property
     def is_busy(self) -> bool:
-        """True if a view change is on its way."""
+        """True if a view change is in progress."""
         return self._reason is not None or self.is_frozen
 
     def poll(self, tick: int, suspected: Collection[int], joining: Collection[int]) -> list[Send]:
@@ -248,7 +264,7 @@ class Views:
     def _begin(self, report: Report, expected: Collection[int]) -> _Proposal:
         number = self.view.number + 1
         bound = self.vote.promised if self.vote.number == number else 0
-        # unique to this robot, and above all ballots it has seen
+        # The ballot is unique to this robot, and higher than all ballots that it has seen.
         ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + self._pid
         vote = promise(self.vote, number, ballot)
         assert vote is not None
@@ -265,7 +281,10 @@ class Views:
         return [Send([p for p in others if p not in proposal.reports], Prepare, (proposal.ballot, self.view))]
 
     def _put(self, proposal: _Proposal) -> list[Send]:
-        """Put a value to the vote once a majority and all expected robots have promised, or GRACE is over."""
+        """Put a view to the vote once a majority and all expected robots have promised.
+
+        After GRACE ticks a majority suffices.
+        """
         if proposal.value is not None or len(proposal.reports) < majority(self._n):
             return []
         if proposal.promised_at is None:
@@ -276,7 +295,7 @@ class Views:
         return self._vote_for(proposal)
 
     def _vote_for(self, proposal: _Proposal) -> list[Send]:
-        """Vote for this robot's own proposal once it may."""
+        """Vote for this robot's own proposal as soon as this robot may vote for it."""
         if proposal.value is None or self._pid in proposal.votes or not self._holds_all(proposal.value):
             return []
         vote = accept(self.vote, proposal.ballot, proposal.value)

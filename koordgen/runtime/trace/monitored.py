@@ -22,7 +22,9 @@ SENSED, OWN, SHARED = range(3)
 class Observation(msgspec.Struct, frozen=True):
     """A robot's knowledge at the start of a round, before its event.
 
-    `certain`: which parts are committed. `sensed`: local time at which the position was true; None: never."""
+    certain: which parts are committed: SENSED, OWN or SHARED.
+    sensed: local time at which the position was measured; None if it never was.
+    """
 
     round: int
     time: float
@@ -73,9 +75,13 @@ class Change:
 class MonitoredProperty:
     """A property that a robot monitors.
 
-    It has `outcome` since round `since`; the outcome was last confirmed at the start of round `true`. It `reads` these
-    names, `needs` this certainty, and is `due` when a value that it reads has changed. It is `acting` while it makes
-    the robot react."""
+    outcome: present verdict, unchanged since round `since`.
+    true: round at whose start the verdict was last confirmed.
+    reads: names of the values that the property reads.
+    needs: certainty (SENSED, OWN or SHARED) that the property needs.
+    due: a value that it reads has changed, so it must be evaluated.
+    acting: it makes the robot react at present.
+    """
 
     of: Of
     name: str

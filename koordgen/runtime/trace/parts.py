@@ -17,7 +17,7 @@ import msgspec
 from koordgen.runtime.trace.schema import HEADER
 
 PARTS = 8  # a part is full at 1/PARTS of the limit, so that 7/8 of the limit stay readable
-LONGEST_HEADER = 1 << 16  # bytes
+LONGEST_HEADER = 1 << 16  # largest size in bytes of a header that is read to find the robot of a part
 MEGABYTE = 1_000_000
 
 

@@ -1,6 +1,6 @@
-"""Distance of two paths: the least distance of segments in space, exact to rounding.
+"""Distance of two paths: the least distance of segments in space, exact except for rounding errors.
 
-Safety relies on it.
+The safety of robots relies on this distance.
 
 The squared distance of p + s d and r + t e is a convex function of (s, t) on the unit square. Its minimum is on the
 square's rim, where an endpoint of one segment meets the other segment, or at the one inner point where the line between

@@ -1,6 +1,4 @@
-"""Limits of one event.
-
-Turns of its loops, and sizes of the numbers, texts and collections that it makes.
+"""Limits of one event: turns of loops, and sizes of the numbers, texts and collections that it makes.
 
 An event, a guard and a formula each have MOST_TURNS turns. One turn of a loop and one call of a function cost one turn.
 Every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text cost one turn, too, and so does passing over
@@ -26,9 +24,9 @@ S = TypeVar("S", bound=Sized)
 
 MOST_TURNS = 1_000_000
 ELEMENTS_A_TURN = 100
-MOST_ELEMENTS = 100_000  # of a list, set, map, queue; characters of a text
-CELLS_AN_ELEMENT = 100  # this many cells of a GridMap count as one element
-MOST_BITS = 4096  # of an int
+MOST_ELEMENTS = 100_000  # largest number of elements of a list, set, map or queue, and of characters of a text
+CELLS_AN_ELEMENT = 100  # number of cells of a GridMap that count as one element
+MOST_BITS = 4096  # largest length of an int, in bits
 _PLAIN = frozenset((int, bool, float, Point))  # types whose values have no elements to count
 SMALL_BITS = 64  # an int of at most this length is added and subtracted without a check of the result
 TOO_LONG = f"an int of more than {MOST_BITS} bits"

@@ -1,4 +1,4 @@
-"""UDP ports for feeds of base stations and sensors. Never blocking."""
+"""UDP ports that receive feeds of base stations and sensors without blocking."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Protocol
 from koordgen.runtime.vehicle.platform import Unready
 
 LARGEST_DATAGRAM = 2048
-# All that a socket buffers, so that no old datagram passes for a new one; handled within a few milliseconds.
+# Largest number of datagrams handled in one poll. It is at least what a socket buffers, so that no datagram waits and
+# seems to be newer than it is; handling them takes a few milliseconds.
 DATAGRAMS_A_POLL = 512
 
 

@@ -53,9 +53,9 @@ def encode(sample: Sample, key: bytes | None) -> bytes:
 class Transit:
     """Estimator of the sender's clock by the shortest transit time.
 
-    The datagram of a session with the shortest transit is assumed to have had none; every other one is as old as its
-    transit was longer. The estimated difference of the clocks may grow by DRIFT at most, so a growing delay cannot pass
-    for it. No datagram is younger than claimed."""
+    The datagram with the shortest transit in a session is assumed to have had no delay. The delay of every other
+    datagram is the difference of the two transit times. The estimated difference of the clocks grows at the rate DRIFT
+    at most, so a growing delay is not mistaken for clock drift."""
 
     def __init__(self) -> None:
         self._least = math.inf  # own clock minus the sender's
@@ -69,9 +69,12 @@ class Transit:
 
 
 class Feed:
-    """Receiver of one robot's samples. No datagram raises.
+    """Receiver of one robot's samples. No datagram causes an exception.
 
-    `rejected` counts dropped datagrams by reason. `time`: when `pose` was true, in seconds on the own clock."""
+    rejected: number of dropped datagrams by reason.
+    pose: the last pose.
+    time: time at which that pose was measured, in seconds of the robot's clock.
+    """
 
     def __init__(self, robot: str, key: bytes | None, application: int = 0) -> None:
         self._robot = robot
@@ -121,7 +124,7 @@ class Feed:
         return True
 
     def news(self) -> list[str]:
-        """Return log lines since the last call: a base station with a session older than one received before."""
+        """Return new log lines: a warning if a base station sends samples of an earlier session."""
         if self._overtaken < OVERTAKEN:
             return []
         self._overtaken = -(10 * OVERTAKEN)  # repeated after as many more

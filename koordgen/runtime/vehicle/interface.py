@@ -19,9 +19,12 @@ from koordgen.runtime.vehicle.safety import clamped
 class VehicleInterface:
     """Interface between program and platform.
 
-    `actuators`: values last written, before the geofence; the platform gets values clamped to it. A call may take
-    `budget` seconds; longer calls are counted and reported. `avoid`: the allread variable in which robots publish their
-    paths, or "". `pid`: this robot's. `clock`: measures calls."""
+    actuators: values last written by the program; the platform gets them clamped to the geofence.
+    budget: seconds that a call of a port may take; longer calls are counted and reported.
+    avoid: the allread variable in which robots publish their paths; "": none.
+    pid: pid of this robot.
+    clock: returns the time in seconds, to measure calls.
+    """
 
     def __init__(
         self,
@@ -55,7 +58,7 @@ class VehicleInterface:
         self.slow_calls = 0
 
     def begin(self, sensed: Sensed) -> None:
-        """Initialise actuators before `init`: an unwritten one holds, some at the value of a sensor.
+        """Initialise the actuators before `init`: some get the value of a sensor, so that the robot holds.
 
         Raises Unready if the target lacks a port."""
         for name in self._sensors:
@@ -128,7 +131,7 @@ class VehicleInterface:
     def _hand_on(self, written: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]) -> None:
         if not written or self._retired:
             return
-        self.actuators = {**self.actuators, **written}  # frames of earlier rounds keep theirs
+        self.actuators = {**self.actuators, **written}  # a new dictionary, because frames of earlier rounds refer to it
         for name in written:
             for sensor in self._clears.get(name, ()):
                 self._cleared[sensor] = now
@@ -139,7 +142,10 @@ class VehicleInterface:
         to(inside, now)
 
     def restore(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Restore the actuators of an earlier life of this robot, as far as they differ."""
+        """Restore the actuator values of this robot's state before a rejoin.
+
+        Send the platform those that differ.
+        """
         nothing = object()
         differing = {n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}
         platform = self._platform

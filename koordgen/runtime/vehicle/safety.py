@@ -1,4 +1,6 @@
-"""Safety layer: geofence, and stale or outside own position. It only judges; the agent acts.
+"""Safety layer: checks of the geofence and of the robot's own position.
+
+It returns verdicts; the agent acts on them.
 
 Frames: local ENU metres. A robot's own position is the sensor that its program declares as such; without one, the
 platform's `<Module>.position`."""

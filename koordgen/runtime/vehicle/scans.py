@@ -18,10 +18,10 @@ from koordgen.runtime.values.points import Point, Scan
 from koordgen.runtime.vehicle.datagrams import DatagramLink, UdpLink, listen, waiting
 from koordgen.runtime.vehicle.platform import Finding, Unready
 
-WINDOW = 0.5  # seconds
-PATIENCE = 60.0  # seconds for the first scan: a driver may be started after the robot
-MOST_SCANS = 4  # newest scans kept
-MOST_RAYS = 512  # per turn: it fits into one datagram of 1200 bytes
+WINDOW = 0.5  # seconds for which a scan stays visible
+PATIENCE = 60.0  # seconds to wait for the first scan, because a driver may be started after the robot
+MOST_SCANS = 4  # number of newest scans kept
+MOST_RAYS = 512  # largest number of rays of one turn, which must fit into one datagram of 1200 bytes
 FARTHEST = 1000.0  # metres, largest accepted range of a lidar
 NOTHING = 0xFFFF  # encoded range of a ray without a hit
 _TURNS = 100.0  # radians; larger angles are invalid

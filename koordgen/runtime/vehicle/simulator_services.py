@@ -1,6 +1,4 @@
-"""Services of a lockstep simulator for a robot's platform in its process.
-
-Links in memory, and a clock.
+"""Services of a lockstep simulator for a robot's platform in its process: links and a clock.
 
 A target's manifest names the function that creates such a platform ([simulation], `inside`). It is called with the
 robot's settings, the fleet's key and a `SimulatorServices`, and returns a platform that opens no socket, device or

@@ -1,9 +1,13 @@
-"""Attack on PROVED invariants within a time budget: the states, their order, and the result.
+"""Attack on PROVED invariants within a time budget: chooses states, and reports the result.
 
-Cheap and likely states come first: initial states, `init`, the first events of each robot. Then three sources alternate
-by the time that they have used: random walks from `init`; states from the solver's models, from which one round is run
-in every order; and variations of known states, which differ in a few variables. The same program and seed give the
-same states; the budget decides how many of them.
+States that are cheap to get, or likely to reveal a mistake, come first: initial states, `init`, and the first events of
+each robot. Then three sources are used in turn, each for the same share of time:
+
+- random walks from states after `init`;
+- states from the solver's models, from which one round is run in every order;
+- variations of known states, which differ in a few variables.
+
+The same program and seed give the same sequence of states. The budget decides how many of them are used.
 """
 
 from __future__ import annotations
@@ -45,17 +49,17 @@ from koordgen.verify.attack.states import States
 if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-SECONDS = 0.05  # default budget of an attack
-FLEETS = (1, 2, 3, 4)  # numbers of robots
-STARTS = 2  # initial states of each number of robots that come first
+SECONDS = 0.05  # default budget of an attack, in seconds
+FLEETS = (1, 2, 3, 4)  # fleet sizes that are attacked, if the number of robots is not given
+STARTS = 2  # number of initial states of each fleet size that are attacked first
 TRIES = 12  # attempts to draw one initial state
-ROUNDS = 6  # length of one random walk
-ORDERS = 150  # most steps in one round from one pre-state
-VARIED_ORDERS = 8  # most steps in one round from a variation of a known state
-MODEL_RUNS = 60  # expected runs of an event from one pre-state, before the solver is asked for another
-SKIPS = 0.15  # probability that a robot skips its turn in a random walk
-STALE = 400  # units of work without a new state that end the attack
-FIRST = 0.4  # part of the budget before the solver is asked
+ROUNDS = 6  # length of one random walk, in rounds
+ORDERS = 150  # largest number of steps that are run in one round from one state of a model
+VARIED_ORDERS = 8  # largest number of steps that are run in one round from a variation of a known state
+MODEL_RUNS = 60  # runs of an event that one state of a model should give before the solver is asked again
+SKIPS = 0.15  # probability that a robot skips its event in a round of a random walk
+STALE = 400  # number of units of work without a new state after which the attack ends
+FIRST = 0.4  # share of the budget that is used before the solver is asked
 
 Clock = Callable[[], float]
 
@@ -63,8 +67,9 @@ Clock = Callable[[], float]
 class AttackReport(NamedTuple):
     """Result of an attack.
 
-    `states`: number of states in which each invariant was judged, by step (an event's name, "init", "(environment)")
-    and invariant. `reasons`: why there were none, with the same keys."""
+    `states`: (step, invariant) -> number of states in which the invariant was judged after the step. A step is an
+        event's name, "init" or "(environment)".
+    `reasons`: (step, invariant) -> the reason why the number is 0."""
 
     states: Mapping[tuple[str, str], int]
     reasons: Mapping[tuple[str, str], str]
@@ -81,11 +86,11 @@ class AttackReport(NamedTuple):
 
 
 class BudgetSpent(Exception):
-    """The budget is used up."""
+    """Raised if the time budget is used up, or no new states are found."""
 
 
 class ContradictionFound(Exception):
-    """A step contradicts a verdict."""
+    """Raised if a step contradicts a verdict."""
 
     def __init__(self, contradiction: Contradiction) -> None:
         super().__init__(contradiction.breach.why)
@@ -95,8 +100,11 @@ class ContradictionFound(Exception):
 class RunPosition(NamedTuple):
     """Position within a run.
 
-    `first`: the run's first state; `start`: the state at the round's start; `now`: the present state; `turns`: the
-    robots that had their turn in this round; `acts`: all steps so far."""
+    `first`: the first state of the run.
+    `start`: the state at the start of the present round.
+    `now`: the present state.
+    `turns`: the robots that already ran an event in this round.
+    `acts`: all steps so far."""
 
     first: State
     start: State
@@ -105,7 +113,7 @@ class RunPosition(NamedTuple):
     acts: tuple[Act, ...]
 
     def then(self, act: Act, now: State) -> RunPosition:
-        """Return the position after a step. The environment's step and `init` begin the next round."""
+        """Return the position after a step. A step of the environment, or `init`, ends the round."""
         acts = (*self.acts, act)
         if act.pid is None:
             return RunPosition(self.first, now, now, frozenset(), acts)
@@ -122,11 +130,15 @@ def attack(
     params: Mapping[str, ir.Expr] | None = None, solver: Solver | CrossCheck | None = None, seconds: float = SECONDS,
     clock: Clock = time.process_time, seed: int = 0,
 ) -> AttackReport:  # fmt: skip
-    """Search a state that contradicts a PROVED invariant (or "(well-defined)"), for `seconds` of `clock`.
+    """Search for a state that contradicts a PROVED invariant or "(well-defined)".
 
-    The default clock is CPU time, to which the time of the solver is added; with another clock, which counts work,
-    waiting for the solver is free. `params` are fixed, all others may have any value. `solver`, if given, provides
-    pre-states."""
+    `proved`: the names of the PROVED invariants.
+    `robots`: the number of robots; None for several fleet sizes.
+    `params`: the values of fixed params; all other params may have any value.
+    `solver`: provides states from models; None if no solver is used.
+    `seconds`: the budget on `clock`.
+    `clock`: CPU time by default, to which the time spent waiting for the solver is added. A clock that counts work does
+        not count this waiting time."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
@@ -144,9 +156,9 @@ def _none(why: str) -> AttackReport:
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
-    """Return the program made exact, and whether some initial values are GridMaps.
+    """Return the program with exact numbers, and whether some initial values are GridMaps.
 
-    Those are computed as robots do, with the params of the program, because a GridMap has no exact form."""
+    A GridMap has no exact form. It is computed as robots compute it, with the program's values of params."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     rounded = {v.name for v in variables if any(_is_map(n) for n in walk(v.initial))}
     made = exact(program)
@@ -156,7 +168,8 @@ def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
     values = {**first.robots[0].locals, **first.store.cells, **{n: v[0] for n, v in first.store.slots.items()}}
 
     def known(variable: decl.Local | decl.Shared) -> ir.Expr:
-        value: Any = values[variable.name]  # the semantics takes a constant's value as it is
+        # the semantics does not check the type of a constant, so the constant may have any value
+        value: Any = values[variable.name]
         given = ir.Const(value, variable.type, variable.span)
         return given if variable.name in rounded else variable.initial
 
@@ -188,14 +201,15 @@ class _AttackSearch:
         self.computing, self.timed = clock, clock is time.process_time
         self.waited = 0.0  # seconds spent waiting for the solver
         self.ready: list[RunPosition] = []  # positions after `init`
-        self.known: list[State] = []  # states at a round's start
+        self.known: list[State] = []  # states at the starts of rounds
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
         self.runs: dict[str, int] = {}  # event -> number of its runs
-        self.tried: dict[str, int] = {}  # step -> number of runs that models were expected to bring
+        self.tried: dict[str, int] = {}  # step -> number of runs that states of models were expected to give
         self.spent = False
         self.units = 0
-        self.news = 0, 0  # number of judged states, and the unit of work of the last new one
+        # number of states judged when the last new one was found, and the unit of work in which it was found
+        self.news = 0, 0
 
     def clock(self) -> float:
         return self.computing() + self.waited
@@ -217,9 +231,9 @@ class _AttackSearch:
         return None
 
     def confirmed(self, found: Contradiction) -> Contradiction:
-        """Run a contradiction again from its beginning, by another judge.
+        """Run a contradiction again from its beginning, with a new judge.
 
-        Raises InternalError if it does not recur."""
+        Raises InternalError if the contradiction does not occur again."""
         why = "the second run shows no contradiction"
         try:
             again = TrialJudge(self.exact, self.proved, self.states.answers).replay(found.trial).contradiction
@@ -230,7 +244,7 @@ class _AttackSearch:
         raise InternalError(f"the attack on {found.breach.invariant} cannot repeat its contradiction: {why}")
 
     def alternate(self) -> None:
-        """Run all sources for the same time each, until the budget is used up."""
+        """Use all sources for the same share of time each, until the budget is used up."""
         sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
         used = [0.0] * len(sources)
         while sources:
@@ -247,7 +261,7 @@ class _AttackSearch:
     def unit(self) -> None:
         """Count one unit of work.
 
-        Raises BudgetSpent if the budget is used up, or the last STALE units found no new state."""
+        Raises BudgetSpent if the budget is used up, or if the last STALE units found no new state."""
         if len(self.judge.known) > self.news[0]:
             self.news = len(self.judge.known), self.units
         self.units += 1
@@ -258,9 +272,10 @@ class _AttackSearch:
     # Initial states and first rounds
 
     def first(self) -> Iterator[None]:
-        """Run the first states of each number of robots.
+        """Attack the first states of each fleet size.
 
-        For each of them: `init`, one event of each robot, one step of the environment; then some rounds."""
+        For each state: run `init`, then each possible event of one robot alone, and a step of the environment after
+        each event. Then run a few rounds of a random walk."""
         for robots in self.fleets:
             for _ in range(STARTS):
                 place = self.launch(robots)
@@ -269,7 +284,7 @@ class _AttackSearch:
                     yield from self.walk(place)
 
     def launch(self, robots: int) -> RunPosition | None:
-        """Return a position after every robot's init; None if no initial state was found."""
+        """Return a position after every robot has run `init`; None if no initial state is found."""
         why = "no state was found that satisfies `initially`"
         for _ in range(TRIES):
             self.unit()
@@ -290,16 +305,16 @@ class _AttackSearch:
         return None
 
     def once(self, place: RunPosition) -> Iterator[None]:
-        """Run every event that one robot alone may run in a state, each followed by the environment's step."""
+        """Run every event that a single robot can run in a state, each followed by a step of the environment."""
         self.settle(place)
         for step in self.steps(place):
             yield
             self.settle(step)
 
-    # Walks
+    # Random walks
 
     def walks(self) -> Iterator[None]:
-        """Random walks from initial states, known and new ones."""
+        """Attack the states of random walks, which begin in known or new states after `init`."""
         for robots in cycle(self.fleets):
             place = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
             yield
@@ -321,7 +336,9 @@ class _AttackSearch:
             self.known.append(place.now)
 
     def turn(self, place: RunPosition, pid: int) -> RunPosition:
-        """Run one of a robot's least run events. Return the same position if it has none."""
+        """Run one event of a robot, preferring events that were run least often.
+
+        Returns the position after the event, or the same position if the robot can run none."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
@@ -332,17 +349,17 @@ class _AttackSearch:
     # Variations of known states
 
     def varied(self) -> Iterator[None]:
-        """Rounds from states that differ from known ones and satisfy the PROVED invariants."""
+        """Attack variations of known states: run rounds from those that satisfy the PROVED invariants."""
         while self.known and self.states.variables:
             state = self.states.varied(self.random.choice(self.known))
             self.unit()
             yield
             yield from self.every_order(state, VARIED_ORDERS)
 
-    # Models
+    # States from the solver's models
 
     def modelled(self) -> Iterator[None]:
-        """Rounds from states of the solver's models, for each event in turn."""
+        """Attack states of the solver's models: run rounds from them, for one event after another."""
         assert self.solver is not None
         models = Models(self.program, self.exact, self.params, self.solver, self.random)
         plain = {event.name: event for event in self.program.events}
@@ -365,9 +382,9 @@ class _AttackSearch:
                 yield
 
     def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
-        """Run one round in every order from a state that satisfies the PROVED invariants.
+        """Run one round in every order of events, from a state that satisfies the PROVED invariants.
 
-        The environment's step follows each event. At most `most` steps are run."""
+        A step of the environment is run after each event. At most `most` events are run."""
         try:
             if self.judge.violated_hypothesis(state) or not self.fresh(state):
                 return
@@ -389,7 +406,9 @@ class _AttackSearch:
     # Steps
 
     def steps(self, place: RunPosition) -> Iterator[RunPosition]:
-        """Run every event of every robot that had no turn yet."""
+        """Run every event of every robot that has not run an event in this round.
+
+        Yields the position after each of them."""
         for pid in range(len(place.now.robots)):
             if pid not in place.turns:
                 for event in self.options(place, pid):
@@ -398,7 +417,7 @@ class _AttackSearch:
                         yield step
 
     def options(self, place: RunPosition, pid: int) -> list[decl.Event]:
-        """Return the events that a robot may run."""
+        """Return the events that a robot may run at this position."""
         try:
             ready = self.judge.ready(place.start, place.now, pid)
         except UnusableStep:
@@ -409,8 +428,9 @@ class _AttackSearch:
         return ready.events
 
     def step(self, place: RunPosition, pid: int, event: decl.Event) -> RunPosition | None:
-        """Return the position after a robot's event; None if the event has no result. Raises BudgetSpent,
-        ContradictionFound."""
+        """Return the position after a robot's event; None if the event has no result.
+
+        Raises BudgetSpent, ContradictionFound."""
         self.unit()
         self.runs[event.name] = self.runs.get(event.name, 0) + 1
         try:
@@ -423,9 +443,9 @@ class _AttackSearch:
         return self.check(place, act, after, breach)
 
     def settle(self, place: RunPosition) -> RunPosition | None:
-        """Return the beginning of the next round, after the environment's step.
+        """Return the position after a step of the environment, which is the beginning of the next round.
 
-        None if the assumptions allow none of the moves that were drawn."""
+        Returns None if the assumptions allow none of the drawn moves."""
         self.unit()
         if not self.states.sensors:
             sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])
@@ -437,7 +457,9 @@ class _AttackSearch:
                 allowed = (m for m in moves if self.judge.may_move(place.now, pid, {**robot.ports, **m}))
                 move = next(allowed, None)
                 if move is None:
-                    self.judge.reasons.setdefault((ENVIRONMENT, ""), "no move was drawn that the assumptions allow")
+                    self.judge.reasons.setdefault(
+                        (ENVIRONMENT, ""), "the assumptions allow none of the moves that were drawn"
+                    )
                     return None
                 fleet.append(move)
             after, act, breach = self.judge.moved(place.now, tuple(fleet))
@@ -453,7 +475,7 @@ class _AttackSearch:
         return step
 
     def fresh(self, state: State) -> bool:
-        """Return whether a state is attacked for the first time."""
+        """Return whether a state has not been attacked before, and remember the state."""
         key = key_of(state)
         if key in self.seen:
             return False

@@ -1,10 +1,10 @@
 """File of a contradiction (`koord-unsound/1`): writer and parser of a trial as JSON.
 
-Everything in a file is checked.
+Exact numbers are written as text ("1/3", "sqrt(2)").
 
-Exact numbers are texts ("1/3", "sqrt(2)"). A file may come from anywhere: it may be of another program, cut short or
-hostile. So the program's hash must agree, every name must be in the program, every value must have its variable's
-type, and sizes are limited. Effects of steps are never read from the file: the semantics runs the steps again.
+The parser trusts nothing, since a file may belong to another program, be cut short or be hostile. It checks the
+program's hash, that every name is in the program, that every value has its variable's type, and limits of size. The
+effects of steps are never read from the file: the semantics runs the steps again.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ FORMAT = "koord-unsound/1"
 MOST_BYTES = 4 << 20
 MOST_ROBOTS = 4
 MOST_ACTS = 64
-DIGITS = 1000  # most digits of a number
+DIGITS = 1000  # largest number of digits of a number
 _NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
 _ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)
-_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; run it to write the file again"
+_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; run this command to write the file again"
 
 
 class BadFile(Exception):
-    """The file cannot be used; the message gives the reason, `help` a remedy."""
+    """Raised if the file cannot be used. The message gives the reason, `help` a remedy."""
 
     def __init__(self, message: str, help: str = _ANEW) -> None:
         super().__init__(message)
@@ -65,7 +65,11 @@ class BadFile(Exception):
 
 
 class TrialFile(NamedTuple):
-    """Content of a file: the PROVED invariants, the trial, and the invariant that it contradicts."""
+    """Content of a file.
+
+    `proved`: the names of the PROVED invariants.
+    `trial`: the trial.
+    `invariant`: the name of the invariant that the trial contradicts."""
 
     proved: tuple[str, ...]
     trial: Trial
@@ -114,7 +118,7 @@ def _values(values: Mapping[str, Value]) -> dict[str, Any]:
 
 
 def to_json(value: Any) -> Any:
-    """Return a value as JSON."""
+    """Return a value of the program as a value of JSON."""
     match value:
         case bool() | int() | str():
             return value
@@ -133,44 +137,47 @@ def to_json(value: Any) -> Any:
         case Point() | Pose() | Grid() | Scan() | GridMap() | Opaque():
             return [to_json(getattr(value, name)) for name in value.__struct_fields__]
         case _:
-            raise AssertionError(f"{value!r} is no value of the language")
+            raise AssertionError(f"{value!r} is not a value of the language")
 
 
 # Reading
 
 
 def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
-    """Return the content of a file about a program, made exact. Raises BadFile."""
+    """Return the content of a contradiction file. Raises BadFile.
+
+    `program`: the program with exact numbers.
+    `program_hash`: the program's hash, which must be the one in the file."""
     if len(data) > MOST_BYTES:
-        raise BadFile(f"it has {len(data)} bytes; the limit is {MOST_BYTES}")
+        raise BadFile(f"the file has {len(data)} bytes; the limit is {MOST_BYTES}")
     try:
         document = json.loads(data.decode("utf-8"), parse_constant=_no_constant, object_pairs_hook=_each_once)
     except RecursionError:
-        raise BadFile("its JSON is nested too deeply") from None
-    except ValueError as error:  # UnicodeDecodeError and JSONDecodeError are such
-        raise BadFile(f"it is not JSON, or was cut short: {error}") from None
+        raise BadFile("the file's JSON is nested too deeply") from None
+    except ValueError as error:  # ValueError is the base class of UnicodeDecodeError and JSONDecodeError
+        raise BadFile(f"the file is not JSON, or was cut short: {error}") from None
     file = _TrialReader(program)
     top = file.table(document, "the file", _TOP)
     if top["format"] != FORMAT:
-        raise BadFile(f"its format is not {FORMAT}")
+        raise BadFile(f"the file's format is not {FORMAT}")
     if top["program"] != program_hash:
         raise BadFile(
-            "it was written for another program, or for another version of this one",
-            "name the very program that it was written for: each change of a program changes its hash",
+            "the file was written for another program, or for another version of this one",
+            "name exactly the program that the file was written for: each change of a program changes its hash",
         )
     proved = file.names(top["proved"], "proved")
     invariant = file.name(top["invariant"], "invariant", proved)
     try:
         return TrialFile(proved, file.trial(top), invariant)
     except RecursionError:
-        raise BadFile("a value in it is nested too deeply") from None
+        raise BadFile("a value in the file is nested too deeply") from None
 
 
 _TOP = ("format", "program", "path", "invariant", "why", "proved", "params", "state", "steps")
 
 
 def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a number")
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -181,7 +188,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 class _TrialReader:
-    """Parser of the parts of a file, which checks each against the program."""
+    """Parser of the parts of a file. It checks each part against the program."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -195,7 +202,7 @@ class _TrialReader:
             self.called.update({f"{n.module}.{n.port}": n for n in walk(function.block) if isinstance(n, PortCall)})
 
     def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
-        """Return an object that has exactly these keys."""
+        """Return an object of the file. Raises BadFile if its keys are not exactly the given ones."""
         if not isinstance(data, dict):
             raise BadFile(f"{what} is not an object")
         wanted = set(keys)
@@ -210,7 +217,7 @@ class _TrialReader:
         return data
 
     def names(self, data: Any, what: str) -> tuple[str, ...]:
-        """Return names of invariants, including loop invariants."""
+        """Return a list of invariants' names, including names of loop invariants."""
         known = names_of(self.program)
         return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
 
@@ -288,7 +295,7 @@ class _TrialReader:
 
 
 def _value(data: Any, type_: Type) -> Any:
-    """Return the value of a type. Raises TypeError, ValueError, LookupError, ArithmeticError."""
+    """Convert data to a value of the type. Raises TypeError, ValueError, LookupError or ArithmeticError."""
     match type_:
         case Sequence(_, element) | PerRobot(element):
             return tuple([_value(part, element) for part in _list(data)])
@@ -360,6 +367,6 @@ def _float(data: Any) -> float:
 
 
 def _short(data: Any) -> str:
-    """Return data of the file for a message, cut short."""
-    text = json.dumps(data)  # escapes control characters and lone surrogates
+    """Return data of the file as text for a message, shortened if it is long."""
+    text = json.dumps(data)  # in JSON text, control characters and lone surrogates are escaped
     return text if len(text) <= 60 else f"{text[:57]}..."

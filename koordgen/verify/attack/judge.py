@@ -1,8 +1,8 @@
-"""Judge of verdicts: runs steps by the semantics, and finds PROVED invariants that they contradict.
+"""Judge of verdicts: runs steps by the semantics, and finds PROVED invariants that are false.
 
-`koordgen.lang.semantics` alone decides what the language allows: which events may run (`choices`), what they write, how
-sensors may move. A state in which an invariant cannot be evaluated (a root that is no fraction, a `spec fun`) is no
-contradiction, and does not count as a state with which the invariant was attacked.
+`koordgen.lang.semantics` alone decides what the language allows: which events may run (`choices`), what they write, and
+how sensors may change. If an invariant cannot be evaluated in a state (because of a root that is not a fraction, or a
+`spec fun`), this is no contradiction. The state then does not count as one in which the invariant was attacked.
 """
 
 from __future__ import annotations
@@ -32,9 +32,11 @@ from koordgen.verify.prove.report.model_reader import Unshowable
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
-PROVED_RIGHT = "proved to have a value, but: "  # prefix of a fault of an operation that the checker proved right
-# Faults of operations for which `(well-defined)` promises a value, as the semantics words them. Capacities, 64 bits,
-# turns of loops, `ensures` and ports discard events as well, but are not promised.
+# Begins the message about a fault that, according to the checker's proof, cannot occur.
+PROVED_RIGHT = "proved to have a value, but: "
+# Beginnings of the semantics' messages about faults that `(well-defined)` excludes. An event may also be discarded
+# because of a capacity, the range of 64-bit ints, the number of loop iterations, an `ensures` or a port.
+# `(well-defined)` does not exclude these faults.
 COVERED = (
     "index ", "a slice from", "what is looked for is not there", "the map has no such key",
     "math domain error", "an int to the power of a negative one",
@@ -50,8 +52,10 @@ FALLIBLE = frozenset(
 class Act(NamedTuple):
     """One step of a trial.
 
-    `event`: an event of robot `pid`; or INIT, of all robots; or ENVIRONMENT, with the new sensor values of all
-    robots."""
+    `event`: the name of an event; INIT; or ENVIRONMENT.
+    `pid`: the robot that runs the event; None for INIT and ENVIRONMENT, which are steps of all robots.
+    `sensors`: for ENVIRONMENT, the new sensor values of all robots.
+    `answers`: the answers of callable ports in this step."""
 
     event: str
     pid: int | None = None
@@ -60,23 +64,26 @@ class Act(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A state at a round's start, or before `init`, and the steps to run on it.
+    """Trial: a state, and the steps to run from it.
 
-    In a round each robot runs at most one event, and the environment's step ends the round."""
+    The state is one at a round's start, or one before `init`. In a round each robot runs at most one event; a step of
+    the environment ends the round."""
 
     state: State
     acts: tuple[Act, ...]
 
 
 class VerdictBreach(NamedTuple):
-    """Contradiction of one invariant, with its reason."""
+    """Contradiction of the verdict on one invariant, with the reason."""
 
     invariant: str
     why: str
 
 
 class Contradiction(NamedTuple):
-    """A trial whose last step contradicts a PROVED invariant, and the states around that step."""
+    """Contradiction: a trial whose last step contradicts a PROVED invariant.
+
+    `before`, `after`: the states before and after the last step."""
 
     trial: Trial
     breach: VerdictBreach
@@ -85,34 +92,41 @@ class Contradiction(NamedTuple):
 
 
 class ReadyEvents(NamedTuple):
-    """Events that a robot may run. `fault`: the step of one whose guard lacks a value that is promised."""
+    """Events that a robot may run.
+
+    `fault`: the step of an event whose guard has no value although `(well-defined)` promises one; None if there is
+        none."""
 
     events: list[decl.Event]
     fault: tuple[Act, VerdictBreach] | None
 
 
 class ReplayedTrial(NamedTuple):
-    """Replayed trial: its states, and the contradiction in its last step, if there is one.
+    """Result of replaying a trial.
 
-    `states`: the state before the first step, and the state after each step."""
+    `states`: the state before the first step, and the state after each step.
+    `contradiction`: the contradiction in the last step; None if there is none."""
 
     states: tuple[State, ...]
     contradiction: Contradiction | None
 
 
 class UnusableStep(Exception):
-    """A step shows nothing; the message gives the reason."""
+    """Raised if a step cannot be used for the attack; the message gives the reason."""
 
 
 class TrialNotCovered(Exception):
-    """The verdicts do not cover this trial; the message gives the reason."""
+    """Raised if the verdicts make no claim about this trial; the message gives the reason."""
 
 
 class TrialJudge:
-    """Judge of one program, made exact.
+    """Judge of the verdicts on one program.
 
-    `proved`: names of the PROVED invariants. `draw` proposes answers of callable ports. `counts`: number of states in
-    which each invariant was judged, by step and invariant; `reasons`: why it could not be judged."""
+    `program`: the program with exact numbers.
+    `proved`: the names of the PROVED invariants.
+    `draw`: proposes answers of callable ports.
+    `counts`: (step, invariant) -> number of states in which the invariant was judged.
+    `reasons`: (step, invariant) -> the reason why the invariant could not be judged."""
 
     def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
         self.program = program
@@ -121,7 +135,9 @@ class TrialJudge:
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
-        self.at_heads: dict[str, list[tuple[str, str]]] = {}  # step -> owner and name of its loop invariants
+        # step -> (owner, name) of the PROVED loop invariants in the step's statements and in the functions that they
+        # call
+        self.at_heads: dict[str, list[tuple[str, str]]] = {}
         for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
             self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
         self.guards = replace(program, events=tuple([replace(event, effect=()) for event in program.events]))
@@ -132,14 +148,14 @@ class TrialJudge:
         self.ports = AttackPorts(program, draw)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.reasons: dict[tuple[str, str], str] = {}
-        self.known: set[tuple[object, ...]] = set()  # states after steps, and before events, that were judged
+        self.known: set[tuple[object, ...]] = set()  # keys of all states that were judged
 
-    # Claims about a state
+    # Judging states
 
     def judged(self, state: State, event: str) -> VerdictBreach | None:
-        """Return the first PROVED invariant that is contradicted after `event`.
+        """Return a contradiction if a PROVED invariant is false after `event`; otherwise None.
 
-        Each state is judged once after each event."""
+        The first such invariant counts. Each state is judged at most once for each event."""
         if not self._new(event, key_of(state)):
             return None
         for property_ in self.invariants:
@@ -158,7 +174,7 @@ class TrialJudge:
             if self.ports.lacking or not is_covered(fault.reason):
                 self.reasons[key] = self.ports.lacking or fault.reason
                 return None
-            return VerdictBreach(property_.name, f"it has no value: {fault}")
+            return VerdictBreach(property_.name, f"the invariant has no value: {fault}")
         except (NotExact, NoMeaning, InternalError) as error:
             self.reasons[key] = str(error)
             return None
@@ -171,14 +187,14 @@ class TrialJudge:
         return len(self.known) > before
 
     def is_start(self, state: State) -> bool:
-        """Return whether a mission may begin in a state. Raises UnusableStep if that is unknown."""
+        """Return whether a mission may begin in a state. Raises UnusableStep if this cannot be decided."""
         return all(self._true(property_, state) for property_ in self.initially)
 
     def violated_hypothesis(self, state: State) -> str:
-        """Return the name of a hypothesis that a state violates; empty if it satisfies all.
+        """Return the name of a hypothesis that a state violates; empty if the state satisfies all hypotheses.
 
-        Hypotheses are the PROVED invariants, and formulas of `initially` about params, which hold for good. Raises
-        UnusableStep."""
+        Hypotheses are the PROVED invariants, and those formulas of `initially` that read params only: params never
+        change, so these formulas hold in every state. Raises UnusableStep."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
                 return f"the formula of `initially` about params in line {part.span.line}"
@@ -196,13 +212,13 @@ class TrialJudge:
             raise UnusableStep(self.ports.lacking)
         return held
 
-    # Steps
+    # Running steps
 
     def init(self, state: State, given: Iterable[PortAnswer] | None = None) -> tuple[State, Act, VerdictBreach | None]:
-        """Run every robot's init.
+        """Run every robot's `init`.
 
-        If an `init` is discarded, its robot stops and the mission does not begin. Then only `(well-defined)` makes a
-        promise, which excludes that. Raises UnusableStep."""
+        If an `init` is discarded, its robot stops and the mission does not begin, so the invariants make no claim. Only
+        the verdict on `(well-defined)` does: it claims that no `init` is discarded. Raises UnusableStep."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -228,7 +244,7 @@ class TrialJudge:
         return after, self._act(INIT), broken or self.judged(after, INIT)
 
     def ready(self, start: State, now: State, pid: int, given: Iterable[PortAnswer] | None = None) -> ReadyEvents:
-        """Return what robot `pid` may do in a round that began with `start`. Raises UnusableStep."""
+        """Return what robot `pid` may do in a round that began in state `start`. Raises UnusableStep."""
         self.ports.begin(now, given)
         try:
             steps = choices(self.guards, now, pid, start.store, self.ports.world)
@@ -241,7 +257,7 @@ class TrialJudge:
     def _guard_fault(
         self, start: State, now: State, pid: int, found: list[decl.Event]
     ) -> tuple[Act, VerdictBreach] | None:
-        """Return the step of an event whose guard lacks a value that is promised."""
+        """Return the step of an event whose guard has no value although `(well-defined)` promises one."""
         for event in self.program.events:
             if event.name not in self.fallible or event in found:
                 continue
@@ -255,7 +271,7 @@ class TrialJudge:
         return None
 
     def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
-        """Return whether a robot may run an event if its guard holds: no event before it prevents that."""
+        """Return whether no event with priority prevents the robot from running an event."""
         events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
         steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
         return any(step.event == event.name for step in steps)
@@ -263,8 +279,10 @@ class TrialJudge:
     def event(
         self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[PortAnswer] | None = None
     ) -> tuple[State, Act, VerdictBreach | None] | None:
-        """Run an event of robot `pid` that `ready` found; None if it is discarded. Raises UnusableStep."""
-        self.ports.begin(now, given)  # other states may have been used since `ready`
+        """Run an event of robot `pid`, which `ready` returned. Raises UnusableStep.
+
+        Returns None if the event is discarded for a reason that no verdict excludes."""
+        self.ports.begin(now, given)  # the ports may have been used for other states since `ready`
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
@@ -277,7 +295,7 @@ class TrialJudge:
         if not isinstance(outcome, Writes):
             breach = self._fault(name, str(outcome), outcome.reason)
             if breach is None:
-                given_up = outcome.reason == UNFINISHED  # by the attack's limit, which is far below a robot's
+                given_up = outcome.reason == UNFINISHED  # the attack's limit is far lower than a robot's limit
                 why = f"given up: it takes more than {TURNS:,} turns" if given_up else f"discarded: {outcome.reason}"
                 self.reasons.setdefault((name, ""), f"each run of it was {why}")
             return (now, self._act(name, pid), breach) if breach else None
@@ -288,7 +306,7 @@ class TrialJudge:
         return after, self._act(name, pid), broken or self.judged(after, name)
 
     def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> VerdictBreach | None:
-        """Return a PROVED loop invariant that was false when a step reached its head."""
+        """Return the contradiction of a PROVED loop invariant that was false at its loop's head in a step."""
         violated = {f"line {span.line}" for span in writes.violated}
         new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
         for owner, name in self.at_heads[step]:
@@ -300,19 +318,19 @@ class TrialJudge:
     def environment(
         self, now: State, sensors: tuple[Mapping[str, Value], ...]
     ) -> tuple[State, Act, VerdictBreach | None]:
-        """Run the environment's step if the assumptions allow it. Raises UnusableStep."""
+        """Run the environment's step, if the assumptions allow it. Raises UnusableStep."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
-                raise UnusableStep("the assumptions do not allow it")
+                raise UnusableStep("the assumptions do not allow this step")
         return self.moved(now, sensors)
 
     def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, VerdictBreach | None]:
-        """Run the environment's step, which the assumptions are known to allow."""
+        """Run the environment's step. The caller knows that the assumptions allow it."""
         after = sense(now, sensors)._replace(round=now.round + 1)
         return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
 
     def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
-        """Return whether the assumptions allow that a robot's ports become these. Raises UnusableStep."""
+        """Return whether the assumptions allow a robot's ports to take these values. Raises UnusableStep."""
         try:
             return is_allowed(self.program, now.robots[pid].ports, ports, pid, now)
         except (Unshowable, NotExact, NoMeaning, InternalError) as error:
@@ -326,7 +344,7 @@ class TrialJudge:
         return UnusableStep(why)
 
     def _fault(self, event: str, told: str, reason: str = "") -> VerdictBreach | None:
-        """Return a breach of `(well-defined)`, if it promises that the operation has a value."""
+        """Return a contradiction of `(well-defined)`, if the verdict claims that this fault cannot occur."""
         where = "init" if event == INIT else f"event {event}"
         _, claimed, within = told.partition(PROVED_RIGHT)
         if not is_covered(within if claimed else reason):
@@ -335,22 +353,22 @@ class TrialJudge:
             return None
         return VerdictBreach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
 
-    # A whole trial
+    # Whole trials
 
     def replay(self, trial: Trial) -> ReplayedTrial:
-        """Run a trial from its beginning, and check all of it. Raises TrialNotCovered, UnusableStep."""
+        """Run a trial from its beginning, with all checks. Raises TrialNotCovered, UnusableStep."""
         state, acts = trial.state, trial.acts
         if state.round == 0:
             if not self.is_start(state):
-                raise TrialNotCovered("its first state violates a formula of `initially`")
+                raise TrialNotCovered("the first state of the trial violates a formula of `initially`")
         elif broken := self.violated_hypothesis(state):
-            raise TrialNotCovered(f"its first state violates {broken}")
+            raise TrialNotCovered(f"the first state of the trial violates {broken}")
         states, start = [state], state
-        turns: set[int] = set()  # robots that had their turn in this round
+        turns: set[int] = set()  # robots that already ran an event in this round
         breach: VerdictBreach | None = None
         for act in acts:
             if breach is not None:
-                raise TrialNotCovered("it goes on after a step that contradicts a verdict")
+                raise TrialNotCovered("the trial goes on after a step that contradicts a verdict")
             if act.pid in turns:
                 raise TrialNotCovered(f"robot {act.pid} runs two events in one round")
             now, breach = self._replayed(start, states[-1], act)
@@ -359,7 +377,7 @@ class TrialJudge:
         return ReplayedTrial(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
     def _replayed(self, start: State, now: State, act: Act) -> tuple[State, VerdictBreach | None]:
-        """Run one step of a trial, in a round that began with `start`."""
+        """Run one step of a trial, in a round that began in state `start`."""
         if (act.event == INIT) != (now.round == 0):
             raise TrialNotCovered("`init` must be the first step, and occur once")
         if act.event == INIT:
@@ -396,7 +414,7 @@ def _of_fleet(formula: ir.Expr) -> bool:
 
 
 def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[str, str]]:
-    """Yield owner and name of the loop invariants of a block, and of the functions that it calls."""
+    """Yield (owner, name) of the loop invariants of a block, and of the functions that the block calls."""
     functions = {function.name: function for function in program.functions}
     called: dict[str, Part] = {owner: block}
     for _ in functions:
@@ -407,15 +425,17 @@ def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[
 
 
 def names_of(program: decl.Program) -> list[str]:
-    """Return the names of a program's verdicts."""
+    """Return the names of everything on which the prover gives a verdict in this program."""
     blocks = (program.init, program.events, program.functions)
     loops = [f"line {n.span.line}" for n in walk(blocks) if isinstance(n, stmt.LoopInvariant)]
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
 
 
 def _is_fallible(part: Part, functions: Collection[str]) -> bool:
-    """Return whether a part of a program, or a function that it calls, contains an operation for which
-    `(well-defined)` promises a value."""
+    """Return whether a part of a program contains an operation that may have no value.
+
+    Only operations count for which `(well-defined)` promises a value. Operations in the functions that the part calls
+    count, too."""
     for node in walk(part):
         match node:
             case ir.SlotRead(_, index):
@@ -434,17 +454,17 @@ def _is_fallible(part: Part, functions: Collection[str]) -> bool:
 
 
 def is_covered(reason: str) -> bool:
-    """Return whether a fault is one that `(well-defined)` excludes."""
+    """Return whether `(well-defined)` claims that a fault with this reason cannot occur."""
     return reason.startswith(COVERED) or any(part in reason for part in COVERED_WITHIN)
 
 
 def _seen(event: decl.Event, start: State, now: State) -> State:
-    """Return the state that an event reads: a plain event reads the store of the round's start."""
+    """Return the state that an event reads. A plain event reads the shared store of the round's start."""
     return now if event.lock is not None else now._replace(store=start.store)
 
 
 def key_of(state: State) -> tuple[object, ...]:
-    """Return a key that differs for different states, without the number of the round."""
+    """Return a key of a state. Different states have different keys; the number of the round is ignored."""
     robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
     store = (*state.store.slots.values(), None, *state.store.cells.values())
     return (*state.params.values(), None, *robots, *store)

@@ -1,7 +1,8 @@
-"""Pre-states from the solver: different states in which the PROVED invariants and a guard hold.
+"""States from the solver in which a step can start: the PROVED invariants and a guard hold.
 
-Only the assumptions before a step are encoded, never the step itself: a mistake in its encoding must not exclude the
-state that would reveal it. Models are not trusted either: the judge checks each state before it is attacked.
+Only the assumptions before a step are encoded, never the step itself. So a mistake in the encoding of the step cannot
+exclude the state that would reveal the mistake. Models are not trusted either: the judge checks each state before it is
+attacked.
 """
 
 from __future__ import annotations
@@ -28,30 +29,32 @@ from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverMissing
 from koordgen.verify.prove.smt.term import Term
 
-QUERY = 2.0  # most seconds of one query
-NUDGES = 3  # most parts of a state that the next model must change
+QUERY = 2.0  # limit of one query to the solver, in seconds
+NUDGES = 3  # largest number of conditions on parts of a state that are added to get another model
 NUMBERS = (-1, 0, 1, 2, 3, 7)
 
 
 class Models:
-    """Source of pre-states of one program whose invariants are all PROVED.
+    """Source of states of one program, taken from the solver's models.
 
-    `exact` is the same program made exact."""
+    All invariants of the program are PROVED. `exact` is the same program with exact numbers."""
 
     def __init__(
         self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | CrossCheck,
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
-        self.asked: dict[tuple[str, int], _Hypotheses | None] = {}  # None: too large to encode
+        # (event, number of robots) -> encoded hypotheses; None if they are too large to encode
+        self.asked: dict[tuple[str, int], _Hypotheses | None] = {}
         self.why = ""
         self.waited = 0.0  # seconds spent waiting for the solver
         t.forget()
 
     def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
-        """Return a state in which the guard of `event` holds for a robot; None if none can be read.
+        """Return a state in which the guard of `event` holds for a robot; None if no state can be found.
 
-        The state has `robots` robots and is found within `most` seconds. Without a state, `why` gives the reason."""
+        The state has `robots` robots. The search takes at most `most` seconds. If there is no state, `why` gives the
+        reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
             t.count_anew()
@@ -91,7 +94,7 @@ class Models:
             return None
 
     def _nudges(self, asked: _Hypotheses) -> tuple[Term, ...]:
-        """Return conditions on some parts of a state, so that the next model differs from the last."""
+        """Return random conditions on a few parts of a state, so that the next model is a different one."""
         parts = [p for p in asked.parts if p.sort in (t.INT, t.REAL, t.BOOL)]
         if not parts:
             return ()
@@ -131,7 +134,7 @@ class Models:
 class _Acting(FleetScope):
     """Scope of a guard: the variables of one robot at a round's start.
 
-    Callable ports have arbitrary answers."""
+    The answers of callable ports are arbitrary."""
 
     def __init__(self, state: ArbitraryState, context: ProofContext, robot: Term) -> None:
         super().__init__(state)
@@ -148,7 +151,7 @@ class _Acting(FleetScope):
 
 
 def _is_readable(type_: Type) -> bool:
-    """Return whether a model determines values of a type.
+    """Return whether values of a type can be read from a model.
 
     Variables of other types keep their initial values."""
     match type_:

@@ -1,7 +1,7 @@
 """Answers of callable ports and extern functions during an attack.
 
-A callable port may give any answer that its module's assumptions allow, so answers are drawn, and dropped if they are
-not allowed. The result of an extern function is unknown here: a step that calls one shows nothing.
+A callable port may give any answer that its module's assumptions allow. So answers are drawn, and those that are not
+allowed are dropped. The result of an extern function is unknown here: a step that calls one cannot be used.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from koordgen.lang.semantics.state import NOTHING, State, World
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.prove.report.model_reader import Unshowable, answered
 
-TURNS = 2_000  # most turns of loops of one event; an event with more is given up, and shows nothing
+# Limit of loop iterations in one event. An event that exceeds it is abandoned, and cannot be used for the attack.
+TURNS = 2_000
 
 Draw = Callable[[State, int, str, tuple[Value, ...]], Iterable[Value]]
 Question = tuple[int, str, tuple[Value, ...]]
@@ -31,9 +32,10 @@ class PortAnswer(NamedTuple):
 
 
 class AttackPorts:
-    """Callable ports and extern functions of one step after the other.
+    """Callable ports and extern functions for one step at a time.
 
-    The semantics calls `world`. `lacking`: why the present step shows nothing, if a call has no known answer."""
+    `world`: the functions that the semantics calls.
+    `lacking`: the reason why the present step cannot be used, if a call has no known answer; otherwise empty."""
 
     def __init__(self, program: decl.Program, draw: Draw) -> None:
         self.program, self.draw = program, draw
@@ -44,7 +46,7 @@ class AttackPorts:
         self.given: Mapping[Question, Value] | None = None
 
     def begin(self, state: State, given: Iterable[PortAnswer] | None = None) -> None:
-        """Prepare for a step from `state`. If `given`, only these calls have answers."""
+        """Prepare for a step from `state`. If `given` is not None, only the calls in it have answers."""
         self.state, self.lacking, self.asked = state, "", {}
         self.given = None if given is None else {(pid, a.port, a.args): a.answer for pid, a in given}
 
@@ -68,7 +70,7 @@ class AttackPorts:
             except (Unshowable, NotExact, NoMeaning):
                 continue
             return candidate
-        self.lacking = f"no known answer of {port} is allowed by the assumptions"
+        self.lacking = f"the assumptions allow no known answer of {port}"
         raise LookupError(self.lacking)
 
     def _known(self, pid: int, port: str, args: tuple[Value, ...]) -> Iterable[Value]:

@@ -1,9 +1,9 @@
 """Random concrete states for attacks: initial states, moves of sensors, answers of planners.
 
-They are not checked here.
+The states are only proposals: the caller checks them against the assumptions.
 
-Values come from the most promising sources: constants in the program's formulas and events, the params, commands that
-were given, and numbers next to those. The same seed draws the same states.
+Values are drawn from sources that are likely to reveal a mistake: constants in the program, params, commands that were
+given, and numbers next to these. The same seed always draws the same states.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from koordgen.runtime.values.points import Point, Pose
 from koordgen.verify.prove.report.model import exact_state, with_values
 from koordgen.verify.prove.report.reach import Pools
 
-VALUES = 16  # size of the pool of one type
-VARIED = 3  # most variables of a state that are changed together
-DRAWS = 6  # attempts to draw one robot's initial sensors that fit the robots before it
+VALUES = 16  # size of the pool of values of one type
+VARIED = 3  # largest number of variables that are changed together in a variation of a state
+DRAWS = 6  # attempts to draw initial sensor values of one robot that fit the robots drawn before
 ARRIVING = 0.4  # probability of a move in which the robot reaches its goal
-MOVES = 5  # moves of one robot that are drawn in one step of the environment
+MOVES = 5  # number of moves that are drawn for each robot in one step of the environment
 BASE = (BOOL, INT, FLOAT, POINT)
 
 
@@ -45,7 +45,10 @@ ELSEWHERE = tuple([_exact_point(*place) for place in ((2, -1, 1), (-3, 4, 0), (9
 
 
 class States:
-    """Source of states of one program, made exact; `free` are the params that may have any value."""
+    """Source of random states of one program.
+
+    `program`: the program with exact numbers.
+    `free`: the names of the params that may have any value."""
 
     def __init__(self, program: decl.Program, free: Iterable[str], random: Random) -> None:
         self.program, self.random = program, random
@@ -66,13 +69,13 @@ class States:
         self.pools = Pools((), [*spoken, *ELSEWHERE], VALUES)
         self.pooled: dict[tuple[Type, int], tuple[Mapping[str, Value], list[Value]]] = {}
 
-    # Before init
+    # States before `init`
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
-        """Draw a state before `init` that is `plausible`; None if none was found.
+        """Draw a state before `init` that satisfies `plausible`; None if none is found.
 
-        Robots are drawn one after the other, so that each fits those before it. The first attempt places robots apart
-        and uses the params of the program."""
+        Robots are drawn one after another, so that each one can fit those before it. In the first attempt, robots are
+        at different positions and params have the program's values."""
         values = {}
         if self.free and attempt % 2:
             bare = self._blank({})
@@ -93,7 +96,7 @@ class States:
         return state
 
     def _blank(self, values: Mapping[str, Value]) -> State:
-        """Return one robot before any `init`, with these params."""
+        """Return a state of a single robot before `init`, with these params."""
         if values or self.usual is None:
             found = exact_state(initial(with_values(self.program, values), 1))
             if values:
@@ -109,7 +112,7 @@ class States:
                 found[name] = pool[pid % len(pool)]
             else:
                 found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
-        for name, sensor in self.held.items():  # the value of an undeclared sensor may be any
+        for name, sensor in self.held.items():  # a sensor that the program does not declare may have any value
             found[name] = found[sensor] if sensor in found else self._elsewhere(name, blank, pid, attempt)
         robot = blank.robots[0]
         return robot._replace(ports={**robot.ports, **found})
@@ -124,7 +127,9 @@ class States:
     # The environment's step
 
     def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
-        """Propose new sensor values of one robot: often those at its goal, the present ones last."""
+        """Propose new sensor values of one robot.
+
+        The first proposal is often at the robot's goal. The last proposal is the present values."""
         ports = now.robots[pid].ports
         goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
         if self.random.random() < ARRIVING:
@@ -150,7 +155,7 @@ class States:
     # Variations of a state
 
     def varied(self, state: State) -> State:
-        """Return a state that differs in a few variables, with drawn or copied values."""
+        """Return a state that differs from the given one in a few variables, with drawn or copied values."""
         for _ in range(self.random.randint(1, VARIED)):
             kind, name, type_ = self.random.choice(self.variables)
             pids = range(len(state.robots))
@@ -169,7 +174,7 @@ class States:
     # Callable ports
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
-        """Propose answers of a planner in random order: no path, the straight path, a detour, the goal alone."""
+        """Propose answers of a planner in random order: no path, a straight path, a detour, only the goal."""
         module = port.partition(".")[0]
         position = next((state.robots[pid].ports[n] for n in self.positions if n.partition(".")[0] == module), None)
         goal = next((arg for arg in args if isinstance(arg, Point)), None)
@@ -224,7 +229,7 @@ def _fleet(blank: State, robots: Sequence[Robot]) -> State:
 
 
 def _of(state: State, kind: str, name: str, pid: int) -> Value:
-    """Return a variable's value; of robot `pid` if each robot has one."""
+    """Return the value of a variable. If each robot has its own, return the value of robot `pid`."""
     if kind == "cell":
         return state.store.cells[name]
     if kind == "slot":
@@ -251,18 +256,22 @@ def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
 
 
 def _goal(command: Value) -> list[Point]:
-    """Return the place to which a command sends its robot, if it is a Point or a path."""
+    """Return a list with the position to which a command sends its robot; empty for other commands.
+
+    Such a command is a Point or a path."""
     last = command[-1] if isinstance(command, tuple) and command else command
     return [last] if isinstance(last, Point) else []
 
 
 def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
-    """Return the numbers and Points in a program, neighbouring numbers, and its texts."""
+    """Return the constants of a program: numbers and Points, and its string literals.
+
+    The neighbours of each number (one more, one less) are included."""
     numbers: dict[Any, None] = {}
     points: list[Value] = []
     texts: dict[str, None] = {}
     spoken = (program.params, program.functions, program.modules, program.events, program.properties)
-    for node in reversed(list(walk(spoken))):  # the end of the program first
+    for node in reversed(list(walk(spoken))):  # constants at the end of the program come first
         if isinstance(node, ir.Const):
             if type(node.value) is str:
                 texts[node.value] = None

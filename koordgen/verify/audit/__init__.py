@@ -1,6 +1,8 @@
-"""Audit: the generated properties, evaluated over the traces of a whole fleet after every round.
+"""Audit: evaluates a program's generated properties over the traces of a whole fleet.
 
-Owns: trace files of several robots, their histories, clocks, results of properties, broken assumptions, pictures.
+The properties are evaluated after every round.
+
+Owns: trace files of several robots, histories, clock checks, results of properties, broken assumptions, pictures.
 Offers: `judge`, `result`, `history`.
 Must not import: explore, attack.
 """

@@ -1,6 +1,7 @@
-"""Blame: assumptions of a proof that broke no later than the invariant.
+"""Blame: finds the assumptions of a proof that were broken no later than the invariant.
 
-No solver is asked: the obligations of an invariant contain the assumptions that a proof of it would use."""
+No solver is called: an invariant's obligations contain all assumptions that a proof of the invariant would use.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +20,9 @@ _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "co
 class Blame:
     """Assumptions behind a violated invariant.
 
-    `rests`: all assumptions of its proof. `broke`: those that broke no later than the invariant, the earliest first.
-    `unseen`: those that were not observed throughout, so may have broken."""
+    `rests`: all assumptions that a proof of the invariant uses.
+    `broke`: those of them that were broken no later than the invariant, the earliest first.
+    `unseen`: those of them that were not observed throughout the mission, so they may have been broken unnoticed."""
 
     invariant: PropertyResult
     rests: tuple[LedgerEntry, ...]
@@ -29,7 +31,7 @@ class Blame:
 
 
 def blames(program: decl.Program, results: Sequence[PropertyResult]) -> list[Blame]:
-    """Return the blame of each invariant that was violated or had no value."""
+    """Return the blame of each invariant that was violated or had no value in some round."""
     violated = [f for f in results if f.of == "invariant" and f.first is not None]
     if not violated:
         return []
@@ -38,7 +40,9 @@ def blames(program: decl.Program, results: Sequence[PropertyResult]) -> list[Bla
     found, ledger = [], Ledger(program)
     for invariant in violated:
         names = [invariant.name]
-        for name in names:  # grows by the invariants that the obligations use, and by theirs
+        # the loop itself appends the invariants that the obligations assume, and those that their obligations assume in
+        # turn
+        for name in names:
             lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
             names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]
         rests = ledger.of([o for o in shown if o.invariant in names])

@@ -1,17 +1,17 @@
-"""Clock check: whether robots' clocks agree with the times of their rounds."""
+"""Clock check: compares robots' clocks with the times of their rounds."""
 
 from __future__ import annotations
 
 from koordgen.verify.audit.history import FleetMission
 
-SLACK = 0.05  # s that a round may be off, beyond the bound that clocks state for themselves
-DRIFT = 1e-3  # s a second: twice the drift between two clocks
+SLACK = 0.05  # Seconds by which a round may be late or early, in addition to the error bound that each clock reports.
+DRIFT = 1e-3  # Allowed drift, in seconds per second: twice the drift between two clocks.
 
 
 def notes(mission: FleetMission) -> list[str]:
-    """Return notes about robots whose clock and rounds differ.
+    """Return notes about robots whose clocks disagree with their rounds.
 
-    Fleet time is counted in rounds; a robot's own clock only decides when its rounds begin."""
+    The audit computes fleet time from the number of rounds. A robot's clock only decides when its rounds begin."""
     found = []
     delta = mission.delta
     for history in mission.histories:
@@ -31,11 +31,12 @@ def notes(mission: FleetMission) -> list[str]:
             off, when = max((abs(tick - origin) - DRIFT * delta * abs(r - first), r) for r, tick in ticks)
             if off > SLACK + 2 * bound:
                 found.append(
-                    f"{history.name}'s clock and its rounds are {off:.2f} s apart in round {when}: "
+                    f"{history.name}'s clock and its rounds differ by {off:.2f} s apart in round {when}: "
                     "the audit uses the time of rounds"
                 )
             if bound > delta / 2:
                 found.append(
-                    f"{history.name} knew the fleet's time only to {bound:.2f} s: its samples are from other times"
+                    f"{history.name} knew the fleet's time only to within {bound:.2f} s: "
+                    "its sensor samples may be from another round"
                 )
     return found

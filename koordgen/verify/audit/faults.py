@@ -1,4 +1,7 @@
-"""Contracts of extern functions, causes of discarded events, and loop invariants, from records."""
+"""Audit results for contracts of extern functions, for discarded events and for loop invariants.
+
+They come from the traces' records alone; no property is evaluated.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,15 @@ from koordgen.verify.audit.result import AFTER, AuditViolation, Observation, Out
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
-_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")  # the format of runtime/program/extern.py
+# koordgen/runtime/program/extern.py writes this text into records of discarded events
+_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")
 
 
 def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
-    """Return a result for each line of a contract, and a last one for discarded events.
+    """Return a result for each line of a contract, and a last result for discarded events.
 
-    The last result, which every program has, says that no event was discarded for a cause in the program. Robots do not
-    record single calls, so events are counted."""
+    Every program has the last result: it says that no event was discarded for another cause in the program. The results
+    count events, since robots do not record single calls of extern functions."""
     found = {
         formula.span.line: PropertyResult("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
@@ -53,7 +57,7 @@ def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResu
 def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
     """Return a result for each loop invariant.
 
-    Events and `init`s are counted, whether they contain the loop or not."""
+    The results count all events and `init`s, including those that do not contain the loop."""
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
     found = {line: PropertyResult("loop invariant", f"line {line}", line) for line in sorted(invariants)}
@@ -79,7 +83,7 @@ def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
 
 
 def _miss(results: list[PropertyResult], mission: FleetMission) -> None:
-    """Count the rounds of each robot that no trace records."""
+    """Add the rounds of each robot that no trace records to the unknown rounds of the results."""
     if mission.first:
         for result in results:
             result.miss(mission.first, len(mission.histories))
@@ -90,15 +94,16 @@ def _record(history: RobotHistory, round_: int) -> Mapping[str, Any]:
 
 
 def late(mission: FleetMission) -> int:
-    """Return the number of events that were discarded because they took too long."""
+    """Return the number of events that were discarded because they were not finished in time."""
     faults = [line.record.get("fault") for history in mission.histories for line in history.rounds.values()]
     return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
 
 
 def _line(record: Mapping[str, Any], contracts: Mapping[int, PropertyResult]) -> int:
-    """Return the line of the broken contract.
+    """Return the line of the contract that a record says was broken.
 
-    0 if an event was discarded for another cause in the program, else -1."""
+    Returns 0 if an event was discarded for another cause in the program, and -1 if no event was discarded for such a
+    cause."""
     fault = record.get("fault")
     if fault is None or fault["reason"] == OVERRAN:
         return -1

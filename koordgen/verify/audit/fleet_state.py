@@ -1,7 +1,7 @@
 """State of the whole fleet, round by round, as far as the robots' traces contain it.
 
-A round has two observations: right after its events (with the sensors of its start), and at its end (with the sensors
-of the next round's start). Between these no sensor was sampled.
+Each round has two observations: right after the round's events, with the sensor values of the round's start; and at the
+round's end, with the sensor values of the next round's start. Robots take no samples between these times.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from koordgen.verify.replay.store import RecordedWrites, had_frame
 
 
 class FleetState:
-    """State of the fleet.
+    """State of the fleet, advanced from round to round.
 
-    `values` by name, as generated properties read them: a list by pid for a local variable, a port and an allread
-    variable, one value for an allwrite variable; UNKNOWN if no trace contains it. `round`: the last round that was
-    applied; initially the one before the mission's `first`."""
+    `values`: name -> value, in the form that generated properties read. A local variable, a port and an allread
+        variable have a list with one value per pid; an allwrite variable has one value. A value is UNKNOWN if no trace
+        contains it.
+    `round`: the last round whose events are contained in `values`. At first it is the round before the mission's
+        `first`."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         histories = mission.histories
@@ -34,7 +36,8 @@ class FleetState:
         self.sensors = [name for name, direction in ports if direction == "sensor"]
         self._actuators = [name for name, direction in ports if direction == "actuator"]
         self._locals = [v.name for v in program.locals]
-        self._own: list[dict[str, Any]] = [{} for _ in histories]  # locals and actuators, in the model or not
+        # each robot's locals and actuators, also while the robot is outside of the model
+        self._own: list[dict[str, Any]] = [{} for _ in histories]
         self._shared = _Shared(meaning, histories, mission.first)
         if mission.first:
             names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
@@ -44,9 +47,9 @@ class FleetState:
             self._begin()
 
     def _begin(self) -> None:
-        """Set the values before `init`: initial values, actuators unset.
+        """Set the values before `init`: variables have initial values, actuators are unset.
 
-        An unset target is the robot's position."""
+        A target that is unset has the value of the robot's position."""
         found, n = self._meaning.found.program, len(self._stories)
         for variable in (*found.locals, *found.shared):
             first = variable.initial()
@@ -57,7 +60,7 @@ class FleetState:
             self.values[port.name] = self.values.get(port.held, [value] * n)
 
     def advance(self) -> None:
-        """Go on to right after the next round's events; round 0 is `init`."""
+        """Advance to the observation right after the next round's events. Round 0 is `init`."""
         self.round += 1
         for pid, history in enumerate(self._stories):
             self._act(pid, history)
@@ -74,11 +77,11 @@ class FleetState:
         self.values.update(self._shared.after(self.round))
 
     def end(self) -> None:
-        """Go on to the end of this round."""
+        """Advance to the observation at the end of this round."""
         self._sample(self.round + 1)
 
     def sampled(self, pid: int, round_: int) -> dict[str, Any]:
-        """Return a robot's sensors at a round's start; UNKNOWN while it is outside of the model."""
+        """Return a robot's sensor values at the start of a round; UNKNOWN while it is outside of the model."""
         history = self._stories[pid]
         told = self.record(pid, round_).get("sensors", {})
         if history.out_at(round_):
@@ -92,7 +95,7 @@ class FleetState:
         return history.rounds[round_].record if round_ in history.rounds else {}
 
     def calls(self, pid: int) -> Calls | None:
-        """Return the robot's calls of callable ports in this round; None if a value in them is unknown."""
+        """Return the robot's calls of callable ports in this round; None if a value in one of them is unknown."""
         told = self.record(pid, self.round).get("calls", [])
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in told])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
@@ -110,7 +113,9 @@ class FleetState:
             own.update(self._meaning.values(told.get(group, {})))
 
     def _clear(self, pid: int) -> None:
-        """Set the sensors that the robot's commands clear to false, until its next sample."""
+        """Set the sensors that the robot's commands clear to false.
+
+        They stay false until the robot's next sample."""
         for name in self.record(pid, self.round).get("actuators", {}) if self.round else ():
             for sensor in self._clears.get(name, ()):
                 if self.values[sensor][pid] is not UNKNOWN:
@@ -123,7 +128,10 @@ class FleetState:
 
 
 class _Shared:
-    """Shared store after each round: as a robot saw it in the next round, else by recorded writes."""
+    """Shared store after each round.
+
+    The store is taken from robots' copies at the start of the next round. Values that no copy contains are computed
+    from recorded writes."""
 
     def __init__(self, meaning: GeneratedProperties, histories: list[RobotHistory], first: int) -> None:
         self._meaning, self._stories = meaning, histories
@@ -132,16 +140,17 @@ class _Shared:
             for record in [history.init or {}, *[line.record for line in history.rounds.values()]]:
                 self._writes.add_record(history.pid, record)
         self._store: dict[str, Any] = dict(self._writes.first())
-        self._copies: list[dict[str, Any]] = [{} for _ in histories]  # allread variables by pid
-        self._told: dict[str, Any] = {}  # the part of `_store` that is in `_values`, in JSON
+        # for each robot, its copy of the store; an allread variable is a dictionary by pid
+        self._copies: list[dict[str, Any]] = [{} for _ in histories]
+        self._told: dict[str, Any] = {}  # the values of `_store` that were already converted for `_values`, as in JSON
         self._values: dict[str, Any] = {}
-        if first:  # the store before the first record is unknown
+        if first:  # if earlier rounds are missing, the store before the first record is unknown
             for history in histories:
                 self._lose(history.pid)
                 self._see(history, first)
 
     def after(self, round_: int) -> dict[str, Any]:
-        """Return the store after a round. Call it for each round in turn, from the first."""
+        """Return the store after a round. Call this for each round in ascending order."""
         self._store = dict(self._writes.after(self._store, round_))
         for history in self._stories:
             if history.may_act(round_):
@@ -157,7 +166,7 @@ class _Shared:
         return self._values
 
     def _lose(self, pid: int) -> None:
-        """Make unknown what this robot may have written in a round without a record."""
+        """Set all values to UNKNOWN that this robot may have written in a round without a record."""
         for name, held in self._store.items():
             if name in self._writes.slots:
                 self._store[name] = [UNKNOWN if p == pid else own for p, own in enumerate(held)]
@@ -165,7 +174,7 @@ class _Shared:
                 self._store[name] = UNKNOWN
 
     def _see(self, history: RobotHistory, round_: int) -> None:
-        """Take the store over as a robot saw it at the start of a round."""
+        """Update the store with the copy that a robot read at the start of a round."""
         copy = self._copies[history.pid]
         if history.turns.get(round_, copy) is None:
             copy.clear()

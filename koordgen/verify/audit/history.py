@@ -14,12 +14,12 @@ from koordgen.verify.audit.trace_files import LOST, TraceFile
 from koordgen.verify.replay.trace import TraceLine
 
 FOREVER = 1 << 60
-# Format of an agent's phase record when its rounds begin.
+# Format of the phase record that an agent writes when its first round is scheduled.
 _MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
 
 
 class Gap(NamedTuple):
-    """Rounds from `since` to before `until` without a record of a robot, and the cause."""
+    """Rounds of which a robot has no record: from `since` to the round before `until`. `why` is the cause."""
 
     since: int
     until: int
@@ -32,33 +32,44 @@ def _why(gaps: Sequence[Gap], round_: int) -> str | None:
 
 @dataclass
 class ProcessLife:
-    """One start of a robot's process, with its records in their order."""
+    """Records of one process run: of the time from one start of a robot's process to its end.
+
+    The records are in the order of the trace. A process run whose trace has several parts has one object per part.
+
+    `mission`: id of the mission in which the process took part; empty if unknown."""
 
     log: TraceFile
     pid: int
     mission: str = ""
-    start: float | None = None  # fleet time of round 1, s
+    start: float | None = None  # fleet time at which round 1 begins, in seconds
     lines: list[TraceLine] = field(default_factory=list)
 
     @property
     def continues(self) -> bool:
-        """Return whether this is a later part of the trace of one start."""
+        """Return whether these records are a later part of a trace.
+
+        Then an earlier part contains the start of the process."""
         return bool(self.lines and self.lines[0].record.get("part"))
 
     @property
-    def tells(self) -> bool:
-        """Return whether it has a record of any round."""
+    def has_rounds(self) -> bool:
+        """Return whether the records contain a round."""
         return any(line.record["kind"] == "round" for line in self.lines)
 
 
 @dataclass
 class RobotHistory:
-    """One robot in the mission.
+    """History of one robot in the mission.
 
-    `lives`: empty if there is no trace of it. `turns`: at the start of a round its own variables get these values (with
-    `locals` and `actuators`), or become unknown (None). `acts`: rounds in which it may have written values without a
-    record. `out`: rounds in which it had stopped; `away`: in which the others had removed it; in both it is outside of
-    the model. `lacks`: parts of its trace are missing; then `since` is the first round that is known."""
+    `lives`: records of the robot's process runs; empty if there is no trace of the robot.
+    `lacks`: whether parts of the trace are missing.
+    `since`: the first round whose values are known; above 0 only if parts of the trace are missing.
+    `rounds`: round -> record.
+    `turns`: round -> values (`locals` and `actuators`) that the robot's own variables get at the start of this round;
+        None if they become unknown.
+    `acts`: rounds in which the robot may have written values without a record.
+    `out`: rounds in which the robot had stopped, so that it is outside of the model.
+    `away`: rounds in which the other robots had removed it from the fleet, so that it is outside of the model."""
 
     pid: int
     name: str
@@ -71,24 +82,27 @@ class RobotHistory:
     acts: list[Gap] = field(default_factory=list)
     out: list[Gap] = field(default_factory=list)
     away: list[Gap] = field(default_factory=list)
-    quiet: list[Gap] = field(default_factory=list)  # gaps that another life, or a broken line, causes
+    # rounds without a record because the process restarted or a line of the trace is broken
+    quiet: list[Gap] = field(default_factory=list)
     monitors: list[Mapping[str, Any]] = field(default_factory=list)
 
     @property
     def last(self) -> int:
-        """Return the last round with a record; 0 for `init` only, -1 for none."""
+        """Return the last round with a record; 0 if only `init` is recorded, -1 if there is no record."""
         return max(self.rounds, default=0 if self.init is not None else -1)
 
     def may_act(self, round_: int) -> bool:
-        """Return whether it may have written in a round without a record, and the others accept its writes."""
+        """Return whether the robot may have written values in this round without a record.
+
+        Returns False if the other robots had removed the robot by then, since they ignore its writes."""
         return _why(self.acts, round_) is not None and _why(self.away, round_) is None
 
     def out_at(self, round_: int) -> str:
-        """Return why the robot is outside of the model in a round; empty while it is in the model."""
+        """Return the reason why the robot is outside of the model in a round; empty if it is in the model."""
         return _why(self.out, round_) or _why(self.away, round_) or ""
 
     def silent(self, round_: int) -> str:
-        """Return in words why the robot's part of a round is unknown."""
+        """Return a text that explains why the robot's values in a round are unknown."""
         if not self.lives:
             return f"there is no trace of {self.name}"
         if self.out_at(round_):
@@ -96,12 +110,15 @@ class RobotHistory:
         why = _why(self.acts, round_) or _why(self.quiet, round_)
         if why or round_ not in self.rounds:
             return f"{self.name} recorded nothing" + (f": {why}" if why else "")
-        return f"{self.name}'s trace does not contain it"
+        return f"{self.name}'s trace does not contain the value"
 
 
 @dataclass
 class FleetMission:
-    """One mission of a fleet, from all trace files. `notes` are for the user."""
+    """One mission of a fleet, from all trace files.
+
+    `notes`: remarks about the traces that the user should know.
+    `cut`: whether a trace file ends within a record."""
 
     name: str
     app: str
@@ -110,22 +127,22 @@ class FleetMission:
     histories: list[RobotHistory]
     notes: list[str]
     cut: bool
-    log: TraceFile  # one of the files; all are of the same program
-    step: bool = False  # the run executed a counterexample of one step
+    log: TraceFile  # one of the trace files; all of them belong to the same program
+    step: bool = False  # whether the run executed a counterexample of a single step
 
     @property
     def first(self) -> int:
-        """Return the first round that a trace records. 0: everything is recorded, from `init` on."""
+        """Return the first round that a trace records; 0 if everything from `init` on is recorded."""
         return min((history.since for history in self.histories if history.lives), default=0)
 
     @property
     def last(self) -> int:
-        """Return the last round to evaluate: the last one in which a robot in the model has a record."""
+        """Return the last round to evaluate: the last one recorded by a robot that is in the model then."""
         return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.histories), default=0)
 
 
 def mission(logs: Sequence[TraceFile]) -> FleetMission:
-    """Return the only mission in the files. Raises BadTrace."""
+    """Return the only mission that all trace files contain. Raises BadTrace."""
     logs, old = _of_one_version(_by_age(logs))
     _same(logs)
     lives = _joined([life for log in logs for life in _lives(log)])
@@ -134,7 +151,7 @@ def mission(logs: Sequence[TraceFile]) -> FleetMission:
         for pid, name in log.names.items():
             if names.setdefault(pid, name) != name:
                 other = next(each.path for each in logs if each.names.get(pid) == names[pid])
-                raise BadTrace(f"{log.path}: robot {pid} is {name}; in {other} it is {names[pid]}")
+                raise BadTrace(f"{log.path}: robot {pid} is named {name}; in {other} it is named {names[pid]}")
     chosen = _chosen(lives)
     notes = [f"{log.path} is of an earlier version of the program, and is ignored" for log in old]
     notes += [f"{log.path}:{flaw.number}: {flaw.what}" for log in logs for flaw in log.flaws[:5]]
@@ -164,13 +181,15 @@ def mission(logs: Sequence[TraceFile]) -> FleetMission:
 
 
 def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:
-    """Return the files of each robot together, the oldest first."""
+    """Return the trace files ordered by robot.
+
+    The files of one robot are ordered by age, the oldest first."""
     order = {family: k for k, family in enumerate(dict.fromkeys(log.family for log in logs))}
     return sorted(logs, key=lambda log: (order[log.family], log.age))
 
 
 def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[TraceFile]]:
-    """Return the files of the program that each robot ran last, and those of earlier programs."""
+    """Return the files of the program version that each robot ran last, and the files of earlier versions."""
     newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
     kept: list[TraceFile] = []
     old: list[TraceFile] = []
@@ -180,23 +199,24 @@ def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[Tr
 
 
 def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
-    """Give each part the mission that a later part of the same start names.
+    """Return the process runs, each with its mission.
 
-    Records of a robot that restarted before its first round belong to no mission and are left out."""
+    A part of a trace without a mission gets the mission that a later part of the same process run names. Records of a
+    robot that restarted before its first round belong to no mission and are left out."""
     joined: list[ProcessLife] = []
-    later: dict[tuple[Path, int, int], ProcessLife] = {}  # the next life in the same files
+    later: dict[tuple[Path, int, int], ProcessLife] = {}  # the process run that follows in the same files
     for life in reversed(lives):
         follower = later.get((*life.log.family, life.pid))
         if follower is not None and follower.continues and not life.mission:
             life.mission, life.start = follower.mission, follower.start
         later[(*life.log.family, life.pid)] = life
-        if follower is None or life.mission or life.tells:
+        if follower is None or life.mission or life.has_rounds:
             joined.append(life)
     return joined[::-1]
 
 
 def _same(logs: Sequence[TraceFile]) -> None:
-    """Check that all files are of one program and one fleet. Raises BadTrace."""
+    """Check that all files belong to the same program and fleet. Raises BadTrace if they do not."""
     first = logs[0]
     for log in logs[1:]:
         for what, mine, its in (
@@ -210,7 +230,9 @@ def _same(logs: Sequence[TraceFile]) -> None:
 
 
 def _lives(log: TraceFile) -> Iterator[ProcessLife]:
-    """Yield each robot's lives, in their order. A life may lack any round, `init` and mission."""
+    """Yield the records of each process run in a file, in the file's order.
+
+    The records of a process run may lack any round, `init`, or the mission."""
     current: dict[int, ProcessLife] = {}
     for line in log.lines:
         record = line.record
@@ -230,10 +252,12 @@ def _lives(log: TraceFile) -> Iterator[ProcessLife]:
 
 
 def _chosen(lives: Sequence[ProcessLife]) -> str:
-    """Return the mission that all files have a part in.
+    """Return the mission in which all robots' files take part.
 
-    Files that one robot wrote in one folder count as one. Raises BadTrace if there is none."""
-    named: dict[tuple[Path, int], dict[str, Path]] = {}  # each mission, with the last file that names it
+    All files that one robot wrote in one folder are treated as one. Returns an empty text if no file names a mission.
+    Raises BadTrace if there is no common mission."""
+    # for each robot's files: mission -> the last file that names it
+    named: dict[tuple[Path, int], dict[str, Path]] = {}
     for life in lives:
         if life.mission:
             named.setdefault(life.log.family, {})[life.mission] = life.log.path
@@ -249,7 +273,7 @@ def _chosen(lives: Sequence[ProcessLife]) -> str:
 
 
 def _build_rounds(history: RobotHistory) -> None:
-    """Build a robot's rounds from its lives. Raises BadTrace."""
+    """Build a robot's history from the records of its process runs. Raises BadTrace."""
     history.lives.sort(key=_order)
     teller = _HistoryBuilder(history)
     for life in history.lives:
@@ -258,7 +282,7 @@ def _build_rounds(history: RobotHistory) -> None:
 
 
 def _order(life: ProcessLife) -> tuple[int, int]:
-    """Order lives of one file as they stand in it, those of several files by their rounds."""
+    """Return a sort key for process runs: the first recorded round, then the position in the file."""
     first = FOREVER
     for line in life.lines:
         if line.record["kind"] in ("init", "round"):
@@ -269,17 +293,18 @@ def _order(life: ProcessLife) -> tuple[int, int]:
 
 
 class _HistoryBuilder:
-    """Builder of one robot's history from its lives."""
+    """Builder of one robot's history from the records of its process runs."""
 
     def __init__(self, history: RobotHistory) -> None:
         self.history = history
-        self.previous = -1  # last round with a record; 0: `init`
-        self.doubt = ""  # why there may be rounds after it without a record
-        self.came_back = False  # the doubt is due to another life, or to a missing trace
-        self.resting, self.rested = False, 0.0  # whether it stopped in the present life, and when
-        self.times: list[tuple[float, int]] = []  # time and number of its rounds
-        self.left = FOREVER  # first round in which it had left the mission
-        self.whose: dict[int, Path] = {}  # round -> file that records it
+        self.previous = -1  # last round with a record; 0 for `init`, -1 for none
+        self.doubt = ""  # reason why there may be rounds after `previous` without a record; empty if there are none
+        self.came_back = False  # whether `doubt` is due to a restart or to a missing trace, not to a broken line
+        # whether the robot has stopped in the present process run, and the time of the stop
+        self.resting, self.rested = False, 0.0
+        self.times: list[tuple[float, int]] = []  # (time, number) of each recorded round
+        self.left = FOREVER  # first round in which the robot had left the mission
+        self.whose: dict[int, Path] = {}  # round -> the file that records it
 
     def live(self, life: ProcessLife) -> None:
         history = self.history
@@ -312,12 +337,12 @@ class _HistoryBuilder:
         if self.resting:
             since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
             history.out[-1] = history.out[-1]._replace(since=min(since + 1, self.left))
-        elif self.left < FOREVER:  # the record of its stop cannot be read
+        elif self.left < FOREVER:  # the robot left the mission, but the record of its stop cannot be read
             self.resting = True
             history.out.append(Gap(self.left, FOREVER, "it had come to rest"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
-        """Begin another part of the trace. Unrecorded rounds before it are unknown."""
+        """Begin the next part of the trace. Rounds before it without a record become unknown."""
         history, round_ = self.history, record["round"]
         if round_ > self.previous:
             self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
@@ -329,9 +354,9 @@ class _HistoryBuilder:
         self.doubt, self.came_back = "", False
 
     def own(self, life: ProcessLife, round_: int) -> bool:
-        """Return whether a round is recorded for the first time.
+        """Return whether this is the first record of a round.
 
-        Raises BadTrace if another file records it, too."""
+        Raises BadTrace if another file records the same round."""
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
             what = f"round {round_}" if round_ else "its init"
@@ -347,13 +372,14 @@ class _HistoryBuilder:
         if self.doubt and round_ > self.previous:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
-        if history.out and history.out[-1].until == FOREVER and not self.resting:  # of an earlier life
+        # the robot had stopped in an earlier process run, and now runs again
+        if history.out and history.out[-1].until == FOREVER and not self.resting:
             history.out[-1] = history.out[-1]._replace(until=round_)
         history.rounds[round_] = line
         self.previous = max(self.previous, round_)
 
     def join(self, life: ProcessLife, gap: Gap) -> None:
-        """Add the gap before a record, and the state with which a robot that restarted went on."""
+        """Add the gap before a record, and the state that a restarted robot restored."""
         self.history.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
@@ -371,10 +397,10 @@ class _HistoryBuilder:
         self.history.turns[gap.since] = None
 
     def end(self) -> None:
-        """Add the rounds after the last record, if the robot may have continued."""
+        """Add the rounds after the last record as a gap, unless the robot certainly stopped."""
         lives = self.history.lives
         if not lives:
-            self.lose(Gap(0, FOREVER, "there is no trace of it"))
+            self.lose(Gap(0, FOREVER, "the robot has no trace"))
         elif self.doubt or not self.resting:
             why = self.doubt or f"its trace ends there ({lives[-1].log.path})"
             self.lose(Gap(self.previous + 1, FOREVER, why))
@@ -385,7 +411,7 @@ def _time(record: Mapping[str, Any]) -> float:
 
 
 def _views(histories: Sequence[RobotHistory]) -> None:
-    """Add the rounds in which a robot was removed by the others."""
+    """Add the rounds in which other robots had removed a robot from the fleet."""
     views = {
         line.record["number"]: line.record
         for history in histories
@@ -399,6 +425,6 @@ def _views(histories: Sequence[RobotHistory]) -> None:
             if member < 0:
                 since.setdefault(history.pid, view["since"])
             elif history.pid in since:
-                history.away.append(Gap(since.pop(history.pid), view["since"], "the others had counted it out"))
+                history.away.append(Gap(since.pop(history.pid), view["since"], "the other robots had removed it"))
     for pid, first in since.items():
-        histories[pid].away.append(Gap(first, FOREVER, "the others had counted it out"))
+        histories[pid].away.append(Gap(first, FOREVER, "the other robots had removed it"))

@@ -22,26 +22,29 @@ from koordgen.verify.audit.result import (
     ValueRow,
 )
 
-MOST_READ = 8  # most values that a violation shows
-MOST_ROBOTS = 6  # most robots in a table
+MOST_READ = 8  # largest number of values that a violation shows
+MOST_ROBOTS = 6  # largest number of robots in a table
 _ANY = "the run followed a counterexample, which begins in any state in which the invariants hold"
-Progress = Callable[[int, int], None]  # receives the round and the number of rounds
+Progress = Callable[[int, int], None]  # called with the present round and the number of rounds
 
 
 @dataclass(frozen=True, slots=True)
 class _Evaluation:
-    """Outcome of one evaluation. `why`: the unknown value or the cause; `robot`: its owner, -1 if none."""
+    """Outcome of one evaluation of a property.
+
+    `why`: the name of an unknown value, or the cause of a missing result.
+    `robot`: the robot that owns the unknown value; -1 if no robot does."""
 
     outcome: Outcome
     why: str = ""
     robot: int = -1
 
 
-_UNRECORDED = _Evaluation("unknown", "a call of a port")
+_UNRECORDED = _Evaluation("unknown", "a call of a port that is not recorded")
 
 
 def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
-    """Evaluate a property as `judged` does, and record the owner of an unknown value."""
+    """Evaluate a property as the function `judged` does, and also record the owner of an unknown value."""
     robot = -1
 
     def listening(known: Known) -> bool:
@@ -57,9 +60,9 @@ def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
 
 
 class PropertyJudge:
-    """Judge of one mission.
+    """Judge of the properties of one mission.
 
-    `results`: properties in the program's order, then assumptions, then unchecked ones."""
+    `results`: the results of properties in the program's order, then of assumptions, then of unchecked properties."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         self._meaning, self._mission = meaning, mission
@@ -75,7 +78,8 @@ class PropertyJudge:
         self._known, self._step = found.fleet(n, None), found.step(n, None)
         self._whole = FleetState(meaning, mission)
         self._before: dict[str, Any] = {}  # values at the previous observation
-        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.results]  # outcomes in this round
+        # for each result, the outcomes in this round
+        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.results]
 
     def run(self, progress: Progress) -> list[PropertyResult]:
         whole, first, last = self._whole, self._mission.first, self._mission.last
@@ -125,7 +129,9 @@ class PropertyJudge:
             self._note(result, came, observation, partial(self._violation, property_, came, observation, where))
 
     def _steps(self, round_: int) -> None:
-        """Evaluate the assumptions on each robot's ports over this round, if both ends of it are known."""
+        """Evaluate the assumptions about each robot's ports in this round.
+
+        An assumption relates the values at the round's start to those at its end."""
         observation = Observation(round_, True)
         actuators = [p.name for p in self._found.program.ports if p.direction == "actuator"]
         for pid in range(self._n):
@@ -145,14 +151,14 @@ class PropertyJudge:
                 self._note(result, whose, observation, partial(self._broken, assumption, whose, observation))
 
     def _in_model(self, pid: int, round_: int) -> bool:
-        """Return whether the model knows a robot from a round's start to its end."""
+        """Return whether a robot is in the model at a round's start and at its end."""
         history = self._mission.histories[pid]
         return not (history.out_at(round_) or history.out_at(round_ + 1))
 
     def _missing(self, came: _Evaluation, observation: Observation) -> str:
-        """Describe the unknown value and the trace that lacks it.
+        """Return a text that names the unknown value and the robot whose trace does not contain it.
 
-        An assumption reads an unprimed sensor at the round's start, a primed one at its end."""
+        An assumption reads an unprimed sensor at the round's start and a primed sensor at the round's end."""
         read = came.why.partition("[")[0]
         name = read.rstrip("'")
         later = observation.end and name in self._whole.sensors and (read != name or "[" in came.why)
@@ -177,7 +183,7 @@ class PropertyJudge:
         return AuditViolation(observation, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
 
     def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[ValueRow]:
-        """Yield the values that the property reads: those of these robots, and the allwrite variables."""
+        """Yield the values of the variables that a property reads: those of `pids`, then allwrite variables."""
         before, after, text = self._before, self._whole.values, self._meaning.text
         slots = {name for name in reads if isinstance(after.get(name), list)}
         for pid in pids:
@@ -203,7 +209,7 @@ class PropertyJudge:
         ]
         bound = [each for each in trail if isinstance(each, Bound)]
         why = came.why if came.outcome == "no value" else ""
-        where = "from its start to its end"
+        where = "from the round's start to its end"
         return AuditViolation(observation, where, (name,), self._bound(bound), self._read(trail), why, tuple(rows))
 
     def _names(self, pids: list[int]) -> tuple[str, ...]:

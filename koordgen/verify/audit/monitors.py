@@ -8,12 +8,15 @@ from typing import Any
 from koordgen.verify.audit.history import FOREVER, FleetMission, RobotHistory
 from koordgen.verify.audit.result import PropertyResult
 
-SLACK = 2  # rounds by which a robot may report a violation late
+SLACK = 2  # number of rounds by which a robot may report a violation late
 _BAD = ("violated", "no value")
 
 
 def compare_monitors(results: Sequence[PropertyResult], mission: FleetMission) -> list[str]:
-    """Return notes about violations that monitors reported and the audit does not show, and vice versa."""
+    """Return notes about contradictions between the robots' monitors and the audit.
+
+    A monitor may have reported a violation that the audit does not find, or may have missed one that the audit finds.
+    """
     notes: list[str] = []
     for result in results:
         said = {history.pid: _said(result, history) for history in mission.histories}
@@ -25,7 +28,9 @@ def compare_monitors(results: Sequence[PropertyResult], mission: FleetMission) -
 
 
 def _said(result: PropertyResult, history: RobotHistory) -> list[tuple[int, int, Mapping[str, Any]]]:
-    """Return a robot's reports about a property, each with its first round and the round in which it ends."""
+    """Return a robot's reports about a property.
+
+    Each report is a triple: its round, the round of the next report, and its record."""
     mine = [r for r in history.monitors if _of(r) == result.of and _line(r) == result.line]
     mine.sort(key=lambda r: int(r["round"]))
     ends = [*[int(r["round"]) for r in mine[1:]], FOREVER]
@@ -45,7 +50,7 @@ def _line(record: Mapping[str, Any]) -> int:
 def _alone(
     result: PropertyResult, history: RobotHistory, spans: list[tuple[int, int, Mapping[str, Any]]]
 ) -> Iterator[str]:
-    """Yield notes about reported violations where the property held."""
+    """Yield notes about violations that a monitor reported although the property held in the whole fleet."""
     for since, until, record in spans:
         if record.get("outcome") not in _BAD:
             continue
@@ -61,7 +66,7 @@ def _alone(
 def _unsaid(
     result: PropertyResult, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: FleetMission
 ) -> Iterator[str]:
-    """Yield a note about a violation that no monitor reported."""
+    """Yield a note about a violation that the audit finds but no monitor reported."""
     bad = next((span for span in result.spans if span.outcome in _BAD), None)
     if bad is None:
         return

@@ -1,4 +1,4 @@
-"""Picture of an audit: each property over time, with violations and unknown rounds."""
+"""Picture of an audit: a row for each property over time, with violations and unknown rounds."""
 
 from __future__ import annotations
 

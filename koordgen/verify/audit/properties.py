@@ -1,6 +1,6 @@
-"""Generated properties of a program, and conversion of trace values for them.
+"""Generated properties of a program, and the conversion of trace values into the form that they read.
 
-Simulators and robots run the same generated text.
+Simulators and robots run the same generated code.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ from koordgen.verify.prove.report.table import shown
 from koordgen.verify.replay.functions import CannotCall, load, meant_value, python_value
 from koordgen.verify.replay.values import BadValue, from_trace
 
-ASKED: tuple[Type, ...] = (POINT, list_of(GRID))  # arguments of a planner: a goal, and obstacles as grid cells
+# types of the arguments of a planner: a goal, and obstacles as grid cells
+ASKED: tuple[Type, ...] = (POINT, list_of(GRID))
 
 
 class GeneratedProperties:
     """Generated properties of one program.
 
-    `types`: types of variables and ports by name. Loads the user's file of extern functions. Raises CannotCall."""
+    `types`: name of a variable or port -> its type.
+    If the program has extern functions, the user's file with these functions is loaded. Raises CannotCall if that
+    fails."""
 
     def __init__(self, program: decl.Program, functions: Path | None) -> None:
         self.program = program
@@ -40,9 +43,10 @@ class GeneratedProperties:
         if program.externs:
             if functions is None or not functions.is_file():
                 missing = functions or f"{functions_module(program)}.py"
-                raise CannotCall(f"{missing}, which has the extern functions, is not there")
+                raise CannotCall(f"{missing}, the file with the extern functions, does not exist")
             load(program, functions)
-        module = sys.modules["audited"] = ModuleType("audited")  # annotations of records are resolved in it
+        # Python resolves the annotations of record classes in this module
+        module = sys.modules["audited"] = ModuleType("audited")
         self._scope: dict[str, Any] = vars(module)
         self._scope["__file__"] = "program.py"
         exec(compile(program_text(program), "program.py", "exec"), self._scope)
@@ -59,14 +63,15 @@ class GeneratedProperties:
     def value(self, name: str, data: Any) -> Any:
         """Convert the value of a variable or port from a trace.
 
-        UNKNOWN if it is missing, not exact (null stands for every number that is not finite) or not of the type."""
+        Returns UNKNOWN in three cases: the value is missing; the value is null, which stands for every number that is
+        not finite; the value does not have the variable's type."""
         return UNKNOWN if data is UNKNOWN else self._of(data, self.types[name]) if name in self.types else UNKNOWN
 
     def values(self, group: Mapping[str, Any]) -> dict[str, Any]:
         return {name: self.value(name, data) for name, data in group.items()}
 
     def call(self, port: str, args: list[Any], answer: Any) -> tuple[str, tuple[Any, ...], Any]:
-        """Convert one call of a callable port."""
+        """Convert one call of a callable port from a trace: (port, arguments, answer)."""
         given = tuple([self._of(arg, type_) for arg, type_ in zip(args, ASKED, strict=False)])
         return port, given, self.value(port, answer)
 
@@ -104,7 +109,7 @@ def _hidden(data: Any) -> bool:
 
 
 def _short(value: Any) -> Any:
-    """Round the floats in a value to six digits."""
+    """Return a value with all floats in it rounded to six digits."""
     match value:
         case float():
             return float(f"{value:.6g}")

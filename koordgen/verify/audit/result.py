@@ -1,4 +1,4 @@
-"""Result of an audit about one property: observations, violations and unknown rounds."""
+"""Result of an audit for one property: observations, violations and unknown rounds."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
 class Observation(NamedTuple):
-    """Time of an observation: right after a round's events, or at its end; round 0 is `init`.
+    """Time of an observation. Earlier observations compare as less.
 
-    Times are ordered."""
+    `round`: the round; 0 is `init`.
+    `end`: False for right after the round's events, True for the round's end."""
 
     round: int
     end: bool
@@ -27,9 +28,9 @@ class Observation(NamedTuple):
 
 
 class ValueRow(NamedTuple):
-    """Value of a variable at the previous and at this observation.
+    """Value of a variable at the previous observation and at this one, as text.
 
-    `robot` is empty for an allwrite variable."""
+    `robot`: the robot that owns the variable; empty for an allwrite variable."""
 
     robot: str
     variable: str
@@ -41,8 +42,12 @@ class ValueRow(NamedTuple):
 class AuditViolation:
     """First violation of a property.
 
-    `robots`: those for which it was false; `bound` and `read`: the values that its formula used; `why`: the reason if
-    it had no value. `where`: the time within the round, in words."""
+    `where`: the time within the round, in words.
+    `robots`: the robots for which the property was false.
+    `bound`: the values of the formula's quantified names.
+    `read`: the values that the formula read.
+    `why`: the reason why the property had no value; empty if it was false.
+    `rows`: the values of relevant variables before and after."""
 
     observation: Observation
     where: str
@@ -54,7 +59,7 @@ class AuditViolation:
 
 
 class OutcomeSpan(NamedTuple):
-    """Rounds from `since` to `until`, both included, with one outcome."""
+    """Consecutive rounds with the same outcome, from `since` to `until` inclusive."""
 
     since: int
     until: int
@@ -65,10 +70,12 @@ class OutcomeSpan(NamedTuple):
 class PropertyResult:
     """Result of one property.
 
-    `rounds`: number of rounds in which it was evaluated; `unknown`: in which it was not; for an assumption, summed over
-    all robots. `missing`: unknown values with their cause, and the number of rounds. `unchecked`: the reason why it can
-    never be evaluated. `unseen`: a robot may have broken this assumption, because it was in the model while its ports
-    were unknown."""
+    `unchecked`: the reason why the property can never be evaluated; empty if it can.
+    `unseen`: for an assumption: whether a robot may have broken it unnoticed, because the robot was in the model while
+        its ports were unknown.
+    `rounds`: number of rounds in which the property was evaluated; for an assumption, summed over all robots.
+    `unknown`: number of rounds in which it could not be evaluated; for an assumption, summed over all robots.
+    `missing`: unknown value with its cause -> number of rounds."""
 
     of: Of
     name: str
@@ -95,7 +102,9 @@ class PropertyResult:
         return "held" if self.rounds and not self.unseen else "unknown"
 
     def miss(self, first: int, of_each: int) -> None:
-        """Count rounds before `first`, which no trace records; `of_each`: number of evaluations in each round."""
+        """Count all rounds before `first` as unknown, since no trace records them.
+
+        `of_each`: number of evaluations in each round."""
         if self.unchecked:
             return
         self.unknown += first * of_each
@@ -104,11 +113,15 @@ class PropertyResult:
         self.spans.append(OutcomeSpan(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:
-        """Return the outcome of a round; unknown if it was not evaluated."""
+        """Return the outcome of a round; "unknown" if the property was not evaluated then."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")
 
     def close(self, round_: int, outcomes: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
-        """Add the outcomes of one round, by observation or by robot, with the unknown values."""
+        """Add the outcomes of one round.
+
+        `outcomes`: pairs of an outcome and a text about the unknown value.
+        `of_each`: whether each outcome counts on its own, as for an assumption with one outcome per robot. Otherwise
+            only the worst one counts."""
         if not outcomes:
             return
         worst = min(outcomes, key=lambda each: WORST.index(each[0]))

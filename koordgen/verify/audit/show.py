@@ -20,12 +20,12 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """A finished audit.
+    """Finished audit.
 
-    `proved`: the verdict of `koordgen prove` on each invariant, by its name; None if it was not asked. `ended`: a limit
-    of time ended the audit early."""
+    `proved`: name of an invariant -> its verdict by `koordgen prove`; None if the prover was not asked.
+    `ended`: whether a time limit ended the audit early."""
 
-    program: str  # the program's file
+    program: str  # file of the program
     mission: FleetMission
     results: Sequence[PropertyResult]
     blames: Sequence[Blame]
@@ -39,7 +39,7 @@ class Audit:
 
     @property
     def doubtful(self) -> bool:
-        """Return whether the audit cannot cover the whole mission: something is unknown or missing."""
+        """Return whether the audit does not cover the whole mission, because something is unknown or missing."""
         return (
             self.ended
             or self.mission.cut
@@ -104,7 +104,7 @@ def _details(result: PropertyResult, audit: Audit) -> Iterator[str]:
 
 
 def when(violation: AuditViolation, mission: FleetMission) -> str:
-    """Return the time of a violation in words."""
+    """Return the time of a violation as text."""
     seconds = violation.observation.seconds(mission.delta)
     round_ = violation.observation.round
     if round_ == 0:
@@ -148,7 +148,7 @@ def _rows(violation: AuditViolation) -> Iterator[str]:
 
 
 def sentence(blame: Blame, audit: Audit) -> str:
-    """Return a sentence that relates the proof of an invariant to its violation."""
+    """Return a sentence that relates an invariant's proof to the violation of the invariant."""
     name = blame.invariant.name
     said = None if audit.proved is None else audit.proved.get(name, "nothing")
     gone = _gone(blame, audit.mission)
@@ -161,8 +161,8 @@ def sentence(blame: Blame, audit: Audit) -> str:
         texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
         seen = f"no assumption of its proof was seen to break before, but some were not observed: {texts}{gone}"
     bug = (
-        "this is a bug of koordgen, or robots did something outside of the model (`koordgen replay` compares what "
-        "they did with the program): please report it, with these traces"
+        "this is a bug of koordgen, or robots did something outside of its model (`koordgen replay` compares "
+        "what they did with the program): please report it, with these traces"
     )
     if said is None:
         return f"{seen}. If `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
@@ -172,9 +172,9 @@ def sentence(blame: Blame, audit: Audit) -> str:
 
 
 def _gone(blame: Blame, mission: FleetMission) -> str:
-    """Name the robots that had left the model by then, or had gaps in their traces.
+    """Return a clause that names robots whose behaviour no proof covers; empty if there are none.
 
-    No proof covers what these robots did."""
+    These robots had left the model before the violation, or had gaps in their traces."""
     first = blame.invariant.first
     assert first is not None
     names = [

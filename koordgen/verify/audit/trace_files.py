@@ -1,7 +1,7 @@
-"""Trace files of a fleet, of which as much as possible is read.
+"""Trace files of a fleet. The reader uses as much of a damaged file as possible.
 
-An unreadable record is replaced by a record of kind LOST: from there on the robot's state is partly unknown. Only a
-file that is no trace at all is an error.
+An unreadable record is replaced by a record of kind LOST, after which the robot's state is partly unknown. The reader
+raises an error only for a file that is not a trace at all.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ KINDS_READ = ("header", "init", "round", "phase", "view", "monitor", "checkpoint
 
 @dataclass(frozen=True, slots=True)
 class TraceFlaw:
-    """A mistake at a line of a file; if `cut`, the file ends there within a record."""
+    """Mistake in a line of a trace file.
+
+    `number`: the line.
+    `cut`: whether the file ends in this line, within a record."""
 
     number: int
     what: str
@@ -35,9 +38,11 @@ class TraceFlaw:
 class TraceFile:
     """One trace file.
 
-    `names`: the robots in its header by pid; `own`: it belongs to one robot. Lines have pid -1 if their robot is
-    unknown. `family`: the same for all files that one robot wrote in one folder; `age` orders these, the oldest
-    first."""
+    `names`: pid -> name, for the robots in the file's header.
+    `own`: whether the file belongs to a single robot.
+    `lines`: the records. A record has pid -1 if its robot is unknown.
+    `family`: identifies all files that the same robot wrote in the same folder.
+    `age`: orders the files of a family, the oldest first."""
 
     path: Path
     app: str
@@ -48,8 +53,9 @@ class TraceFile:
     own: bool
     family: tuple[Path, int]
     age: float
-    last: dict[int, int] = field(default_factory=dict)  # pid -> round of its last record
-    step: bool = False  # the run executed a counterexample of one step, which begins in any state
+    last: dict[int, int] = field(default_factory=dict)  # pid -> round of the robot's last record
+    # whether the run executed a counterexample of a single step, which may begin in an unreachable state
+    step: bool = False
     lines: list[TraceLine] = field(default_factory=list)
     upgrade: Upgrade = field(default_factory=Upgrade)
     flaws: list[TraceFlaw] = field(default_factory=list)
@@ -60,9 +66,11 @@ class TraceFile:
 
 
 def trace_files(given: Path) -> list[Path]:
-    """Return the trace files that a name denotes. Raises BadTrace.
+    """Return the trace files that a path denotes. Raises BadTrace.
 
-    They are a file with its earlier parts, or the merged trace in a run's folder, or else all traces below a folder."""
+    If the path is a file, the result is this file with the earlier parts of the same trace. If it is the folder of a
+    run with a merged trace, the result is the merged trace. For any other folder, the result is all traces below the
+    folder."""
     if not given.is_dir():
         return parts_of(given)
     merged = given / "trace.jsonl"
@@ -77,7 +85,7 @@ def trace_files(given: Path) -> list[Path]:
 
 
 def _header(path: Path) -> Mapping[str, Any] | None:
-    """Return the header of a trace; None if there is none."""
+    """Return the header of a trace file; None if the file has none."""
     try:
         return header_of(path)
     except OSError as error:
@@ -85,7 +93,7 @@ def _header(path: Path) -> Mapping[str, Any] | None:
 
 
 def read_trace_file(path: Path) -> TraceFile:
-    """Read a whole file. Raises BadTrace if it is no trace."""
+    """Read a whole trace file. Raises BadTrace if it is not a trace."""
     header = _header(path)
     if header is None:
         raise BadTrace(f"{path}: {NO_HEADER}")
@@ -114,7 +122,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> TraceFile:
         names = {int(robot["pid"]): str(robot["name"]) for robot in header["robots"]}
         n_sys = len(names)
     if not 1 <= n_sys <= MOST_ROBOTS or not all(0 <= pid < n_sys for pid in names):
-        raise ValueError(f"pids {sorted(names)} of {n_sys} robots")
+        raise ValueError(f"pids {sorted(names)} do not fit {n_sys} robots")
     base, part = base_of(path)
     family, age = (base, next(iter(names))) if own else (path, -1), math.inf if part is None else part
     return TraceFile(
@@ -123,7 +131,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> TraceFile:
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield each line with its number. A line that is too long is cut, without its end."""
+    """Yield each line with its number. A line that is too long is yielded without its end."""
     number = 0
     while data := file.readline(LONGEST):
         number += 1
@@ -140,7 +148,8 @@ def _add_line(log: TraceFile, number: int, data: bytes) -> None:
         raise BadTrace(f"{log.path}:{number}: {error}") from None
     record = _parsed(data)
     if record is None:
-        again = data.rfind(HEADER)  # a robot was killed within a record, and restarted
+        # the file contains a header within this line if the robot was killed while it wrote a record, and restarted
+        again = data.rfind(HEADER)
         if again > 0 and _parsed(data[again:]) is not None:
             _lose(log, number, pid, "is cut off where the robot restarted")
             _add_line(log, number, data[again:])

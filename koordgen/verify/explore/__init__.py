@@ -1,4 +1,6 @@
-"""Explorer: explicit-state search of all runs of a small fleet, with the robots' generated code.
+"""Explorer: explicit-state search of all runs of a small fleet.
+
+The explorer runs the same generated code that robots run.
 
 Owns: environments, rounds, search, state-space reductions, the shortest run to a violation.
 Offers: `search`, `show`.

@@ -1,4 +1,4 @@
-"""Finite environment: values of sensors initially and after each round, and answers of callable ports."""
+"""Finite environment: possible sensor values at the start and after each round, and answers of ports."""
 
 from __future__ import annotations
 
@@ -18,14 +18,18 @@ from koordgen.lang.semantics.values import Value
 from koordgen.verify.explore.machine import Answer, Machine, Packed, PrivateState
 from koordgen.verify.replay.functions import meant_value
 
-STRAIGHT: Final = "straight"  # answer of a planner: the path from `position` straight to the goal
+# possible answer of a path planner: the straight path from the robot's `position` to the goal
+STRAIGHT: Final = "straight"
 
 
 class SensorDomain(NamedTuple):
-    """Values of one sensor.
+    """Possible values of one sensor.
 
-    `near`: whether a value may follow another one within a round; None: any may. `starts`: values at the beginning;
-    None: all. `seen_from`: computes the value from the robot's position."""
+    `values`: all possible values.
+    `near`: returns whether a value can change to another one within a round; None if every change is possible.
+    `starts`: the possible values at the start of a mission; None for all of `values`.
+    `seen_from`: computes the value from the robot's position; None for a sensor that does not depend on the position.
+    """
 
     values: tuple[Value, ...]
     near: Callable[[Value, Value], bool] | None = None
@@ -34,14 +38,16 @@ class SensorDomain(NamedTuple):
 
 
 class MissingEnvironment(Exception):
-    """An environment is needed for a port, but missing or unusable; the message names the port."""
+    """Raised if a port needs an environment that is missing or unusable; the message names the port."""
 
 
 class Environment(NamedTuple):
     """Finite environment. Ports are named "Module.port".
 
-    `domains`: values of sensors; `answers`: possible answers of callable ports, values or STRAIGHT; `robots`:
-    environments of single robots, which replace this one; `params`: values that the environment sets."""
+    `domains`: the possible values of sensors.
+    `answers`: the possible answers of callable ports, each a value or STRAIGHT.
+    `robots`: pid -> the environment of this robot, if it differs from the common one.
+    `params`: values of params that the environment sets."""
 
     domains: Mapping[str, SensorDomain]
     answers: Mapping[str, tuple[Any, ...]]
@@ -49,15 +55,15 @@ class Environment(NamedTuple):
     params: Mapping[str, Any] = {}
 
     def of(self, pid: int) -> Environment:
-        """Return the environment of one robot."""
+        """Return the environment of one robot: its own one if there is one, otherwise the common one."""
         return self.robots.get(pid, self)
 
 
 def possible_answers(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
-    """Return a function that yields the possible answers of a robot's callable ports.
+    """Return a function that returns all possible answers of a robot's callable port.
 
-    They depend on the values of its sensors. The function raises MissingEnvironment if the assumptions allow no
-    answer."""
+    The answers depend on the values of the robot's sensors. The function raises MissingEnvironment if the program's
+    assumptions allow no answer."""
     params = initial(program, 1).params
     deciding = {port: _answer_assumptions(program, port) for port in environment.answers}
     read = {port: _sensors(program, rules, port) for port, rules in deciding.items()}
@@ -105,13 +111,15 @@ def _answer_assumptions(program: decl.Program, port: str) -> list[decl.Assumptio
 
 
 def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
-    """Return the sensors on which answers depend: those in assumptions, and the robot's position."""
+    """Return the sensors on which a port's answers depend.
+
+    These are the sensors in the assumptions about the port, and the robot's position."""
     found = {f"{n.module}.{n.port}" for rule in rules for n in walk(rule.formula) if isinstance(n, PortRead)}
     return tuple(sorted(found | {position_beside(program, port)}))
 
 
 class EnvironmentSteps:
-    """Steps of the environment from fleets of one machine."""
+    """Steps of the environment from fleets of one program (`Machine`)."""
 
     def __init__(self, machine: Machine, environment: Environment) -> None:
         self.machine = machine
@@ -122,7 +130,9 @@ class EnvironmentSteps:
         self._news: dict[Hashable, list[dict[str, Value]]] = {}
 
     def starts(self) -> Iterator[tuple[dict[str, Value], ...]]:
-        """Yield all sensors' values when a mission begins. `initially` is not checked here."""
+        """Yield all combinations of sensor values with which a mission may begin.
+
+        The `initially` properties of the program are not checked here."""
         return product(*[self._starts(domains) for domains in self.domains])
 
     def _starts(self, domains: Mapping[str, SensorDomain]) -> list[dict[str, Value]]:
@@ -133,7 +143,7 @@ class EnvironmentSteps:
         return [self._looked(domains, values) for values in product(*pools)]
 
     def _looked(self, domains: Mapping[str, SensorDomain], values: tuple[Value, ...]) -> dict[str, Value]:
-        """Return values of sensors by name, including those computed from the robot's position."""
+        """Return the values of sensors by name. Sensors that depend on the position are computed from it."""
         found = dict(zip(self.machine.sensors, values, strict=True))
         for name in found:
             look = domains[name].seen_from
@@ -142,7 +152,7 @@ class EnvironmentSteps:
         return found
 
     def moved(self, fleet: Packed) -> Iterator[Packed]:
-        """Yield every fleet after the environment's step.
+        """Yield every fleet that the environment's step can lead to.
 
         Raises MissingEnvironment if an assumption has no value."""
         if not self.machine.sensors:
@@ -154,11 +164,12 @@ class EnvironmentSteps:
             yield owns + rest
 
     def moves(self, pid: int, own: int) -> tuple[int, ...]:
-        """Return the possible private states of one robot after the environment's step."""
+        """Return the possible private states of one robot after the environment's step, by their numbers."""
         found = self._moves.get((pid, own))
         if found is None:
             robot = self.machine.owns.values[own]
-            key = (pid, self.machine.ports_key(robot))  # assumptions read ports only
+            # assumptions read only ports, so the result is the same for all robots' states with equal ports
+            key = (pid, self.machine.ports_key(robot))
             if key not in self._news:
                 domains = self.domains[pid]
                 pools = [

@@ -1,4 +1,4 @@
-"""Parser of environment files. Each mistake is reported with its place."""
+"""Parser of environment files. Each mistake is reported with its line and column."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from koordgen.runtime.values.points import Point
 from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
 from koordgen.verify.explore.lidar import lidar
 
-MAX_VALUES = 100_000  # most values of one port
-ROUNDING = 1e-9  # relative tolerance, larger than the rounding error of a distance
+MAX_VALUES = 100_000  # largest number of values of one port
+ROUNDING = 1e-9  # relative tolerance for comparing distances; larger than a distance's rounding error
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
 
 
 def environment(program: decl.Program, n_sys: int, source: Source | None, report: Report) -> Environment | None:
-    """Return the environment of a file.
+    """Return the environment that a file describes; None after a mistake was reported.
 
-    A bool sensor that the file does not name has both values. None after a mistake was reported. Raises
-    MissingEnvironment."""
+    A bool sensor that the file does not name has both values. Raises MissingEnvironment if another port is not named.
+    """
     ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
     sensors = {name: p.type for name, p in ports.items() if p.direction == "sensor"}
     called = [name for name, p in ports.items() if p.direction == "callable"]
@@ -70,7 +70,7 @@ class _EnvironmentFile:
         self.reader, self.program, self.sensors, self.called = reader, program, sensors, called
 
     def read(self, usual: Environment, n_sys: int) -> Environment:
-        """Return the whole environment. `usual` has the values of what the file does not name."""
+        """Return the whole environment. `usual` has the values of ports that the file does not name."""
         table = self.reader.table(
             self.reader.document(), "the environment", [], [*self.sensors, *self.called, "params", "robots"]
         )
@@ -90,7 +90,9 @@ class _EnvironmentFile:
         return found
 
     def _robots(self, node: YamlNode | None, usual: Environment, n_sys: int) -> dict[int, Environment]:
-        """Return the environments of robots in this fleet. One file may serve fleets of several sizes."""
+        """Return the environments of single robots of this fleet.
+
+        The file may also name robots that this fleet does not have, so that one file serves fleets of several sizes."""
         found = {}
         keys = [key for key, _ in node.value] if node is not None and node.tag == "tag:yaml.org,2002:map" else []
         pids = [str(key.value) for key in keys if str(key.value).isdecimal()]
@@ -184,7 +186,9 @@ class _EnvironmentFile:
         return given, SensorDomain(tuple(values), None if change is None else _change(change + ROUNDING * step))
 
     def _axes(self, node: YamlNode, what: str, ends: Any, step: float) -> list[list[Any]]:
-        """Return for each axis its numbers from low to high; empty if there are none, or too many."""
+        """Return the numbers on each axis of a grid, in ascending order.
+
+        The list is empty if an axis has no numbers, or if the grid has too many values."""
         ends = list(ends)
         counts = [math.floor((hi - lo) / step + ROUNDING) + 1 for lo, hi in ends]
         if min(counts) < 1 or math.prod(counts) > MAX_VALUES:
@@ -222,7 +226,7 @@ class _EnvironmentFile:
         return tuple(self._each_value(items, name, type_))
 
     def _each_value(self, items: list[YamlNode], name: str, type_: Type) -> Iterator[Value]:
-        """Yield values, which are written like those of params."""
+        """Yield the values of a list. They are written like the values of params."""
         at = Span(1, 1, 1, 1)
         param = decl.Param(name, type_, Const(0, type_, at), at)
         alone = replace(self.program, params=(param,), shared=(), locals=(), modules=())
@@ -244,7 +248,7 @@ def _form(type_: Type) -> str:
 
 
 def _stepped(lo: float, step: float, k: int) -> float:
-    """Return `lo` plus k steps, rounded in decimal: three steps of 0.1 from 18 on are 18.3."""
+    """Return `lo` plus k steps, rounded as decimals: three steps of 0.1 from 18 are exactly 18.3."""
     return type(lo)(Decimal(repr(lo)) + k * Decimal(repr(step)))
 
 

@@ -1,4 +1,4 @@
-"""Invariants of a program, compiled to Python over packed fleets."""
+"""Invariants of a program, compiled to Python functions that are evaluated on packed fleets."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from koordgen.verify.explore.pairs import PairInvariants, pair_formula
 
 
 class _Fleet:
-    """Object whose attributes a compiled formula reads; the emitter chooses their names."""
+    """Fleet as a compiled formula reads it. The code emitter chooses the names of its attributes."""
 
     def __init__(self, n_sys: int) -> None:
         self.n_sys = n_sys
 
 
 class _View:
-    """Part of a fleet that one formula reads, as numbers. Equal views give equal truth values."""
+    """View: the part of a packed fleet that one formula reads, as numbers.
+
+    Equal views give equal truth values, so the truth value is stored for each view."""
 
     def __init__(self, formula: ir.Expr, machine: Machine) -> None:
         names = _reads(formula)
@@ -37,7 +39,9 @@ class _View:
         self.known: dict[Packed, bool] = {}
 
     def of(self, fleet: Packed) -> Packed:
-        """Return for each number in a fleet the number of the part that the formula reads."""
+        """Return the view of a fleet.
+
+        Each number of the fleet is replaced by the number of the part that the formula reads."""
         n_sys = self._machine.n_sys
         owns, slots, cells = self._of
         try:
@@ -69,7 +73,9 @@ class _View:
 
 
 class Invariants:
-    """Compiled invariants of one program. `unchecked`: names of invariants that call a `spec fun`."""
+    """Compiled invariants of one program.
+
+    `unchecked`: names of the invariants that call a `spec fun`, which cannot be evaluated."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -109,7 +115,7 @@ class Invariants:
         return next(p for p, holds in zip(self.properties, self._holds, strict=True) if not self._true(holds))
 
     def _whole_hold(self, fleet: Packed) -> bool:
-        """Return whether the invariants hold that `PairInvariants` cannot handle."""
+        """Return whether those invariants hold that read more than a pair of robots."""
         taken = False
         for view, holds in self._whole:
             seen = view.of(fleet)
@@ -127,7 +133,7 @@ class Invariants:
         begin()
         try:
             return holds(self._fleet)
-        except Exception:  # functions of the user may raise anything
+        except Exception:  # an extern function, written by the user, may raise any exception
             return False
 
     def _take(self, fleet: Packed) -> None:
@@ -159,7 +165,7 @@ def _calls(formula: ir.Expr, specs: set[str]) -> bool:
 
 
 def _reads(formula: ir.Expr) -> set[str]:
-    """The names of the locals, shared variables and ports that a formula reads."""
+    """Return the names of the locals, shared variables and ports that a formula reads."""
     found = set()
     for node in walk(formula):
         match node:

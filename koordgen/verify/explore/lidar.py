@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from koordgen.runtime.values.points import Point, Scan
 
-Wall = tuple[Point, Point]  # the corners of a box, metres, local ENU
+Wall = tuple[Point, Point]  # opposite corners of a box, in metres in the local ENU frame
 
 
 def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point], tuple[tuple[Point, Scan], ...]]:
@@ -24,9 +24,9 @@ def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point]
 
 
 def _way(place: Point, angle: float, wall: Wall) -> float:
-    """Return the distance in metres along a ray at which it enters a box, by its slabs.
+    """Return the distance in metres along a ray to the point where it enters a box (slab method).
 
-    Infinite if it misses."""
+    Returns infinity if the ray misses the box."""
     enter, leave = 0.0, math.inf
     lo, hi = wall
     for at, along, low, high in (

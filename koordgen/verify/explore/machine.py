@@ -1,8 +1,13 @@
-"""Transition function of one program: the code that robots run, over packed and memoised fleets.
+"""Transition function of one program: runs the robots' generated code on packed fleets.
 
-A packed fleet of N robots is a flat tuple of 2 N + 1 small ints: each robot's private state (locals, ports, whether it
-stopped), then each robot's slots of the allread variables, then the allwrite variables. Equal ints stand for equal
-values; floats are compared by all their bits. The number of the round is left out, since no event can read it.
+A packed fleet of N robots is a flat tuple of 2 N + 1 small ints:
+
+- one int for each robot's private state: locals, ports, and whether the robot has stopped;
+- one int for each robot's slots of the allread variables;
+- one int for the allwrite variables.
+
+Equal ints denote equal values. Floats are distinguished by all their bits. The number of the round is left out, since
+no event can read it. The results of transitions are memoised.
 """
 
 from __future__ import annotations
@@ -27,16 +32,18 @@ from koordgen.verify.replay.functions import CannotCall, load, meant_value, pyth
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
-Call = Callable[[str, tuple[Any, ...]], Any]  # "Module.port", arguments -> answer
+# Call: arguments "Module.port" and the call's arguments; result: the answer.
+# Answer: arguments pid, the robot's sensors, "Module.port" and the call's arguments; result: all possible answers.
+Call = Callable[[str, tuple[Any, ...]], Any]
 # pid, its sensors, "Module.port", arguments -> all possible answers
 Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
 
 
 class PrivateState(NamedTuple):
-    """One robot's private state; ports by "Module.port".
+    """Private state of one robot. Ports are named "Module.port".
 
-    `unset`: sensors that commands clear but no command has cleared yet; they are true until then."""
+    `unset`: sensors that commands clear, but that no command has cleared yet. Such sensors are true."""
 
     locals: Mapping[str, Any]
     sensors: Mapping[str, Any]
@@ -46,7 +53,12 @@ class PrivateState(NamedTuple):
 
 
 class RobotStep(NamedTuple):
-    """One possible step of a robot: the event's index, its private state, slots and writes afterwards."""
+    """One possible step of a robot.
+
+    `event`: index of the event.
+    `own`: number of the private state after the event.
+    `slots`: number of the robot's slots after the event.
+    `cells`: number of the event's writes to allwrite variables."""
 
     event: int
     own: int
@@ -55,10 +67,12 @@ class RobotStep(NamedTuple):
 
 
 class DiscardedEvent(NamedTuple):
-    """A discarded event (-1: `init`), or an event with a false loop invariant.
+    """An event that was discarded, or an event in which a loop invariant was false.
 
-    `line`: place of the fault or of the loop invariant. `choice`: result of an event with a false loop invariant.
-    `seen`: the store that the event read, which is slots and cells of a packed fleet."""
+    `event`: index of the event; -1 for `init`.
+    `seen`: the store that the event read: slots and allwrite variables of a packed fleet.
+    `line`: line of the fault or of the loop invariant.
+    `choice`: the step of an event with a false loop invariant; None for a discarded event."""
 
     pid: int
     event: int
@@ -70,18 +84,19 @@ class DiscardedEvent(NamedTuple):
 
 
 class AnswerEnumeration:
-    """Enumeration of an event's runs, one for each combination of port answers.
+    """Runs one event repeatedly, once for each combination of answers of callable ports.
 
-    Equal calls get equal answers."""
+    Within a run, equal calls get equal answers."""
 
     def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
         self._answers = answers
         self._raised: Exception | None = None
 
     def runs(self) -> Iterator[None]:
-        """Yield once per combination; the caller then runs the event.
+        """Yield once per combination of answers. After each yield, the caller runs the event.
 
-        Re-raises an exception of the answers, which the run itself would report as a fault of the event."""
+        If computing the possible answers raised an exception, it is raised again here. Otherwise the run would report
+        it as a fault of the event."""
         self._pending: list[tuple[int, ...]] = [()]
         while self._pending:
             self._script = self._pending.pop()
@@ -107,7 +122,7 @@ class AnswerEnumeration:
 
 
 class Interned(Generic[T]):
-    """Table of values by number. Equal keys have the same number."""
+    """Table that gives each value a number. Values with equal keys have the same number."""
 
     def __init__(self) -> None:
         self.values: list[T] = []
@@ -123,8 +138,11 @@ class Interned(Generic[T]):
 class Machine:
     """Transitions of one program in a fleet of `n_sys` robots.
 
-    Loads the user's file of extern functions if the program has some. `discards`: all discarded events so far;
-    `enabled`: indices of events that had a result. Raises CannotCall."""
+    If the program has extern functions, the user's file with these functions is loaded. Raises CannotCall if that
+    fails.
+
+    `discards`: all discarded events so far.
+    `enabled`: indices of the events that had a result so far."""
 
     def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
         self.program, self.n_sys, self.answer = program, n_sys, answer
@@ -147,17 +165,17 @@ class Machine:
         self.params = initial(program, 1).params
         self.discards: list[DiscardedEvent] = []
         self.enabled: set[int] = set()
-        self.begin: type[rt.Transaction] = self.code.begin  # class of the transactions of events
+        self.begin: type[rt.Transaction] = self.code.begin  # class of the transactions in which events run
         place = {event.name: index for index, event in enumerate(program.events)}
         self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
         self._look: rt.Transaction | None = None
         self.sensor_attributes = {f"{m}.{port}": self.names.ports[m, port] for m, port in self.names.sensors}
 
     def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
-        """Return those of the events that a robot may run by priority.
+        """Return those of `events` that a robot may run by the rules of `priority:` blocks.
 
-        All guards before them in their `priority:` blocks have a value and are false on the store at the round's
-        start."""
+        For such an event, every earlier guard of its block has a value and is false on the store at the round's start.
+        """
         robot = self.owns.values[own]
         held = {earlier: self._may_hold(earlier, pid, robot, begun) for e in events for earlier in self.earlier[e]}
         return tuple([event for event in events if not any(held[earlier] for earlier in self.earlier[event])])
@@ -170,17 +188,17 @@ class Machine:
         return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
 
     def _may_hold(self, event: int, pid: int, robot: PrivateState, begun: Packed) -> bool:
-        """Return whether a guard holds or has no value."""
+        """Return whether the guard of an event holds or has no value."""
         try:
             return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
-        except Exception:  # a fault of the guard
+        except Exception:  # evaluating the guard failed, so it has no value
             return True
 
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
-        """Return the possible steps of a robot on a store.
+        """Return the possible steps of a robot that reads the store `seen`.
 
-        These are the steps of the events whose guards hold, without discarded ones. The events have priority, see
-        `prior`."""
+        There is one step for each event whose guard holds, and for each combination of answers. Discarded events are
+        recorded in `discards` instead. All `events` must have priority (see `prior`)."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
@@ -201,18 +219,19 @@ class Machine:
         return AnswerEnumeration(lambda port, args: self.answer(pid, robot.sensors, port, args))
 
     def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
-        """Run an event. None if its guard does not hold."""
+        """Run an event. Returns None if the event's guard does not hold."""
         try:
             if not rt.enabled(event, looking):
                 return None
             return rt.run(self.code, event.effect, self.begin(frame()), event.line)
-        except Exception:  # of a guard: run again, so that it is reported like a fault of an effect
+        # The guard raised an exception. Run it again as an effect, so that its fault is reported like one of an effect.
+        except Exception:
             return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
 
     def after_init(self, fleet: Packed) -> list[Packed]:
-        """Return all possible fleets after every robot's `init`.
+        """Return all possible fleets after every robot has run `init`.
 
-        Each `init` reads the store before all of them."""
+        Each `init` reads the store as it was before any `init`."""
         init = self.code.init
         if init is None:
             return [fleet]
@@ -232,7 +251,7 @@ class Machine:
         return found
 
     def applied(self, fleet: Packed, pid: int, choice: RobotStep) -> Packed:
-        """Return a fleet after one robot's event; all its writes take effect together."""
+        """Return the fleet after one robot's event, with all its writes."""
         made = list(fleet)
         made[pid], made[self.n_sys + pid] = choice.own, choice.slots
         if choice.cells != self.nothing:
@@ -240,14 +259,17 @@ class Machine:
         return tuple(made)
 
     def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
-        """Use these classes for the cells of locals from now on."""
+        """Use these classes for the cells of locals in all later runs.
+
+        A cell holds the value of one variable in a transaction."""
         self.begin = watching(self.code.begin, cells) if cells else self.code.begin
         self._look = None
 
     def _looking(self, pid: int, robot: PrivateState, seen: Packed, call: Call) -> Any:
         """Return the transaction on which guards are evaluated.
 
-        Guards write nothing, so one object is reused, and only the differences are stored in it."""
+        A guard writes nothing, so one transaction is reused for all guards. Only values that differ are stored in it
+        again."""
         if self._look is None:
             self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
         look: Any = self._look
@@ -271,7 +293,7 @@ class Machine:
         return look
 
     def frame(self, pid: int, robot: PrivateState, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
-        """Return the variables that an event of a robot can read."""
+        """Return the values that an event of a robot can read."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
@@ -288,7 +310,7 @@ class Machine:
         return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators], robot.unset)
 
     def packed(self, state: State) -> Packed:
-        """Pack a state of the semantics in which no command was given yet."""
+        """Return a state of the semantics as a packed fleet. No command may have been given in this state yet."""
         robots = [self.own(self._own(robot)) for robot in state.robots]
         slots = [
             self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
@@ -298,7 +320,7 @@ class Machine:
         return (*robots, *slots, self._cell_number(cells))
 
     def state(self, fleet: Packed, number: int = 1) -> State:
-        """Return a packed fleet as a state of the semantics, before round `number`."""
+        """Return a packed fleet as a state of the semantics, at the start of round `number`."""
         robots = []
         for own in fleet[: self.n_sys]:
             held = self.owns.values[own]
@@ -313,9 +335,9 @@ class Machine:
         return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
 
     def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> RobotStep:
-        """Return the step with an event's effects.
+        """Return the step of an event with the effects `done`.
 
-        A loop invariant that was false in it is added to the discards."""
+        If a loop invariant was false in the event, it is added to `discards`."""
         choice = self._choice(index, pid, self.owns.values[own], seen, done)
         for line in done.violated[:1]:
             reason = f"the loop invariant on line {line} is false or has no value"
@@ -351,7 +373,9 @@ class Machine:
         return self.slots.number(tuple(map(self.key, self.allread, values)), values)
 
     def key(self, name: str, value: Any) -> Hashable:
-        """Return a key of a value. A program may distinguish 0.0 from -0.0, so floats are keyed by their text."""
+        """Return a hashable key of a variable's value.
+
+        A program can distinguish 0.0 from -0.0, which compare equal. So floats are represented by their text."""
         key: Hashable = repr(value) if with_floats(self.types[name]) else value
         return key
 
@@ -369,7 +393,7 @@ class Machine:
 
 
 def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:
-    """Return a subclass of the transactions `begin` in which the cells of some locals have other classes."""
+    """Return a subclass of the transaction class `begin` that uses other cell classes for some locals."""
 
     class Watching(begin):  # type: ignore[misc,valid-type]
         def local(self, name: str) -> rt.Cell[Any]:
@@ -385,10 +409,10 @@ def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
     if program.externs:
         if functions is None or not functions.is_file():
             missing = functions or f"{functions_module(program)}.py"
-            raise CannotCall(f"{missing}, which has the extern functions, is not there")
+            raise CannotCall(f"{missing}, the file with the extern functions, does not exist")
         load(program, functions)
     name = f"explored{next(_numbers)}"
-    module = sys.modules[name] = ModuleType(name)  # annotations of records are resolved in it
+    module = sys.modules[name] = ModuleType(name)  # Python resolves the annotations of record classes in this module
     scope: dict[str, Any] = vars(module)
     scope["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), scope)

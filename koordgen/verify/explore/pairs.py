@@ -1,8 +1,8 @@
-"""Invariants about one robot or a pair of robots, evaluated once for each robot and pair.
+"""Invariants about one robot or a pair of robots, evaluated once for each robot and each pair.
 
-`forall i in ID: ...` and `forall i, j in ID: ...`, whose formula reads no other robot, is true of a fleet if it is true
-of each robot and pair. The result for all such invariants is memoised for each robot and pair, identified by private
-states, slots and the allwrite variables.
+An invariant `forall i in ID: ...` or `forall i, j in ID: ...` whose formula reads no other robot is true of a fleet if
+it is true for each robot and each pair. All such invariants are evaluated together, and the result is stored for each
+robot and pair. Its key consists of their private states, their slots and the allwrite variables.
 """
 
 from __future__ import annotations
@@ -18,7 +18,11 @@ from koordgen.verify.explore.machine import Machine, Packed
 
 
 class PairFormula(NamedTuple):
-    """A formula about robots with one or two names. `numbers`: whether it reads their pids as numbers."""
+    """A formula about one robot or a pair of robots.
+
+    `names`: the one or two quantified names.
+    `body`: the formula.
+    `numbers`: whether the formula uses the robots' pids as numbers, not only as indices."""
 
     names: tuple[str, ...]
     body: ir.Expr
@@ -54,9 +58,9 @@ def pair_formula(formula: ir.Expr) -> PairFormula | None:
 
 
 class PairInvariants:
-    """Invariants about robots and pairs of one machine.
+    """Invariants about robots and pairs of robots, compiled for one program.
 
-    `take` stores a fleet's values where formulas read them."""
+    `take`: stores a fleet's values where compiled formulas read them."""
 
     def __init__(
         self, machine: Machine, formulas: Sequence[PairFormula], fleet: object, take: Callable[[Packed], None]
@@ -100,7 +104,7 @@ class PairInvariants:
             return (i != j or all(holds(self._fleet, i) for holds in self._one)) and all(
                 holds(self._fleet, i, j) for holds in self._two
             )
-        except Exception:  # functions of the user may raise anything
+        except Exception:  # an extern function, written by the user, may raise any exception
             return False
 
 

@@ -1,18 +1,21 @@
-"""State-space reduction: removes differences between private states that affect no later step.
+"""State-space reduction: ignores differences between private states that affect no later step.
 
-1. A local variable that nobody reads. No invariant names it, and no event reads a value in it that another event wrote.
-   Its values may differ while all other steps stay the same. Reads are found at run time, not from the text of events:
-   a variable counts as unread until an event reads it (`VariableRead`, raised while the event runs). It is then kept,
-   and the search restarts. Events that read and write nothing but that variable (a counter that runs down) and stand
-   in no `priority:` block, whose events would read their guards, are left out of rounds. They are tried separately on
-   all values that the variable can have, to find faults and to see whether they are ever enabled. What other events
-   write to the variable depends on no removed value, so each such value occurs in some robot that the search meets.
-2. A robot that can do nothing but stop. Judged by its locals and its own slots alone, which nobody else writes, each of
-   its events has a false guard or does nothing but `stop`, now and for ever. A robot that has stopped represents it:
-   each step of either is matched by a skip of the other. For both, all locals that no invariant names are removed.
+1. Unread local variables. A local variable is unread if no invariant names it and no event reads a value in it that
+  another event wrote. All other steps are the same for all its values, so the variable is removed from states. Reads
+  are found at run time, not in the text of events: a variable counts as unread until an event reads it, which raises
+  `VariableRead`. Then the variable is kept, and the search restarts.
 
-Both reductions preserve the number of rounds to any violation. They do not preserve deadlocks, since a represented
-robot may still have an event. So if a deadlock is found, the search restarts without the reductions.
+   An event is idle if it reads and writes only such a variable (a counter that runs down) and belongs to no `priority:`
+   block, whose other events would read its guard. Idle events are left out of rounds. They are run separately on all
+   values that the variable can take, to find faults, and to find out whether they are ever enabled. Other events write
+   values to the variable that do not depend on removed values, so every such value occurs in some robot of the search.
+   2. Robots that can only stop. Each event of such a robot has a false guard or does nothing but `stop`, now and for
+   ever, judged by the robot's locals and own slots alone, which no other robot writes. The robot is represented by one
+   that has already stopped: for each step of one of them, the other one skips its event. In both, all locals that no
+   invariant names are removed.
+
+Both reductions preserve the number of rounds to any violation. They do not preserve deadlocks, since a robot that is
+represented by a stopped one may still have an event. So if a deadlock is found, the search restarts without reductions.
 """
 
 from __future__ import annotations
@@ -26,13 +29,13 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program import program as rt
 from koordgen.verify.explore.machine import Interned, Machine, Packed, PrivateState
 
-MAX_TRIED = 10_000  # most values of one variable that are tried
+MAX_TRIED = 10_000  # largest number of values of one variable on which idle events are run
 
 
 class VariableRead(BaseException):
-    """A variable that counted as unread is read.
+    """Raised if an event reads a variable that counted as unread.
 
-    A BaseException, since Exceptions in generated code are faults."""
+    It is a BaseException, because generated code reports any Exception as a fault of the event."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -40,7 +43,7 @@ class VariableRead(BaseException):
 
 
 class _Others(BaseException):
-    """An event reads more than its robot's locals, actuators and own slots."""
+    """Raised if an event reads more than its robot's locals, actuators and own slots."""
 
 
 class _Hidden(rt.Cell[Any]):
@@ -70,7 +73,7 @@ class _OwnSlots(rt.Slots[Any]):
 
 @cache
 def unread_cell(name: str) -> type[rt.Cell[Any]]:
-    """Return a class of cells that raise VariableRead if they are read before they are written."""
+    """Return a class of cells that raise VariableRead if an event reads them before it writes them."""
 
     class Watched(rt.Cell[Any]):
         __slots__ = ()
@@ -85,9 +88,9 @@ def unread_cell(name: str) -> type[rt.Cell[Any]]:
 
 
 def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
-    """Return a subclass of `begin` whose transactions show only one robot's own variables.
+    """Return a subclass of the transaction class `begin` that shows only one robot's own variables.
 
-    These are its locals, actuators and own slots. `sensors` are the attributes that are removed."""
+    These are the robot's locals, actuators and own slots. `sensors` names the attributes that the subclass removes."""
 
     class Alone(begin):  # type: ignore[misc,valid-type]
         def __init__(self, frame: rt.Frame) -> None:
@@ -108,7 +111,10 @@ def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt
 
 
 class StateReduction:
-    """Reduction of one machine's fleets: removed `locals`, and `idle` events that use nothing else."""
+    """State-space reduction for the fleets of one program.
+
+    `locals`: names of the local variables that are removed from states.
+    `idle`: indices of the events that use only a removed variable."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -121,7 +127,7 @@ class StateReduction:
         self._take([name for name in unread if name not in guards or name in restricted])
 
     def keep(self, name: str) -> None:
-        """Keep a variable, because an event reads it."""
+        """Stop removing a variable from states, because an event reads it."""
         self._take([other for other in self.locals if other != name])
 
     def _take(self, names: list[str]) -> None:
@@ -137,12 +143,14 @@ class StateReduction:
         self._alone = restricted(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
-        """Return the fleet that represents this one."""
+        """Return the fleet that represents the given fleet."""
         n_sys, seen = self.machine.n_sys, fleet[self.machine.n_sys :]
         return (*[self.own(pid, fleet[pid], seen) for pid in range(n_sys)], *seen)
 
     def own(self, pid: int, own: int, seen: Packed) -> int:
-        """Return the private state that represents this one. Of the store only the robot's own slots count."""
+        """Return the number of the private state that represents the given one.
+
+        It depends on the store only through the robot's own slots."""
         key = (pid, own, seen[pid])
         found = self._standing.get(key)
         if found is None:
@@ -161,13 +169,13 @@ class StateReduction:
         return self._alike.values[self._alike.number(key, own)]
 
     def _turn(self, pid: int, robot: PrivateState, seen: Packed) -> None:
-        """Run the idle events on all values that their variables can take from here."""
+        """Run the idle events on all values that their variables can take from the robot's present values."""
         machine, code = self.machine, self.machine.code
         if robot.stopped:
             return
         for name in set(self._turning.values()):
             pending = [robot.locals[name]]
-            for value in pending:  # grows within the loop
+            for value in pending:  # the loop itself appends to this list
                 key = (name, machine.key(name, value))
                 if key in self._tried:
                     continue
@@ -180,7 +188,7 @@ class StateReduction:
                     try:
                         ready = rt.enabled(event, code.begin(frame))
                         done = rt.run(code, event.effect, code.begin(frame)) if ready else None
-                    except Exception:  # a fault of the guard: the search reports it
+                    except Exception:  # the guard has a fault, so keep the variable: the search then reports the fault
                         raise VariableRead(name) from None
                     if isinstance(done, rt.Fault) or (done is not None and done.violated):
                         raise VariableRead(name)
@@ -189,7 +197,7 @@ class StateReduction:
                         pending.append(done.locals[name])
 
     def _finished(self, pid: int, robot: PrivateState, seen: Packed) -> bool:
-        """Return whether a robot will do nothing but stop, whatever others do."""
+        """Return whether a robot will do nothing but stop, whatever other robots do."""
         machine, code = self.machine, self.machine.code
         frame = machine.frame(pid, robot, seen)
         stopping = []
@@ -200,7 +208,7 @@ class StateReduction:
                 if not rt.enabled(event, self._alone(frame)):
                     continue
                 if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
-                    continue  # now and for ever: the event that has priority does nothing but stop
+                    continue  # the event with priority also does nothing but stop, now and for ever
                 done = rt.run(code, event.effect, self._alone(frame))
             except (Exception, VariableRead, _Others):
                 return False
@@ -214,7 +222,9 @@ class StateReduction:
 
 
 def _only_variable(event: decl.Event) -> str | None:
-    """Return the only variable that an event uses, if it does nothing else and is in no block."""
+    """Return the only variable that an event uses; None for an event that uses more.
+
+    None, too, for an event that is atomic or belongs to a `priority:` block."""
     names, parts = set(), (event.guard, event.effect)
     for node in walk(parts):
         match node:

@@ -1,11 +1,13 @@
-"""Ends of a round's program step from a packed fleet, in every order of events that matters.
+"""Possible results of one round's events, in every order of events that can make a difference.
 
-Partial-order reduction: a plain event reads the store of the round's start, so its position in the round does not
-matter. Two events of two robots commute unless both write one allwrite variable, or one of them is atomic and reads
-what the other writes (a slot has one writer). Guards that have priority over an event are read at the round's start, so
-they conflict with nothing. Events that commute with all others form the first phase, in which robots step by ascending
-pid. The others form one phase for each group that is connected by conflicts, in which every order is tried. Any order
-of a round can be sorted into this order by exchanging neighbours that commute, so no end is lost.
+Partial-order reduction. A plain event reads the store of the round's start, so its position in the round does not
+matter for what it reads. Two events of two robots commute except in two cases: both write the same allwrite variable;
+or one of them is atomic and reads what the other writes. (A slot has only one writer.) The guards of events with
+priority are read at the round's start, so they conflict with nothing.
+
+Events that commute with all others form the first phase, in which robots step by ascending pid. The other events form
+one phase for each group that is connected by conflicts; in such a phase every order is tried. Exchanging neighbours
+that commute turns any order of a round into an order of phases, so no result is lost.
 """
 
 from __future__ import annotations
@@ -17,16 +19,18 @@ from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.explore.machine import Machine, Packed, RobotStep
 
-Node = tuple[int, Packed]  # bit mask of the robots that have stepped, and the fleet after their steps
-Predecessor = tuple[Node, int, int]  # predecessor, pid and event of the step from it
+Node = tuple[int, Packed]  # bit mask of the robots that have run an event, and the fleet after these events
+Predecessor = tuple[Node, int, int]  # (node before the step, pid, event) of the step that led to a node
 
 
 class EventPhase(NamedTuple):
     """Events of one phase, by index.
 
-    `alone`: events that read nothing shared but their robot's own slots; `plain`: other plain events; `atomic`: other
-    atomic events. `ordered`: the order of robots matters. `ranked`: some event has another one before it in its
-    `priority:` block."""
+    `alone`: events whose only shared variables are their robot's own slots.
+    `plain`: all other plain events.
+    `atomic`: all other atomic events.
+    `ordered`: whether the order of robots makes a difference, so that every order is tried.
+    `ranked`: whether some event comes after another one in its `priority:` block."""
 
     alone: tuple[int, ...]
     plain: tuple[int, ...]
@@ -36,9 +40,9 @@ class EventPhase(NamedTuple):
 
 
 def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
-    """Return all events but `idle` ones, in phases that commute with one another.
+    """Return all events except `idle` ones, in phases that commute with one another.
 
-    Without `independence`, all events are in one phase that is explored in every order."""
+    Without `independence` (partial-order reduction), all events are in one phase, in which every order is tried."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
         return (_phase(program, events, True),) if events else ()
@@ -83,7 +87,7 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
 
 
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
-    """Return the shared variables that an event reads at the time of its run, and those that it may write."""
+    """Return the shared variables that an event reads when it runs, and those that it may write."""
     reads, writes = set(), set()
     for node in walk((event.guard, event.effect)):
         match node:
@@ -97,12 +101,13 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 
 
 class RoundExplorer:
-    """Rounds of one machine.
+    """Explorer of the rounds of one program.
 
-    A robot's choices are computed once for each private state and store; if robots are `alike`, once for all orders of
-    the others' slots. `representative` returns that of a robot's private state after its step, given its pid and the
-    store; nobody reads that state before the round's end. `as_agents`: only rounds that agents can execute
-    (`is_order_of_agents` of the semantics)."""
+    `alike`: the program treats all robots alike. Then a robot's possible steps are computed once for all orders of the
+        other robots' slots; otherwise once for each store.
+    `representative`: returns the number of the private state that represents a robot's state after its step. Its
+        arguments are the pid, the private state and the store. No robot reads that state before the round's end.
+    `as_agents`: explore only rounds that agents can execute (`is_order_of_agents` of the semantics)."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
@@ -115,10 +120,10 @@ class RoundExplorer:
         self._alone: dict[Packed, tuple[RobotStep, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
-        """Return every possible end of the program's step, with the robots that have stepped.
+        """Return every possible result of a round's events, each with the robots that ran an event.
 
-        Robots may skip. The first end is that in which no robot has stepped. Every fleet within a round is among the
-        ends, since the other robots may skip."""
+        A robot may skip its event. The first result is the one in which all robots skip. Every fleet within the round
+        is among the results, since the remaining robots may skip."""
         if self.as_agents:
             return self.ends_with_predecessors(fleet)
         found: list[Node] = [(0, fleet)]
@@ -131,7 +136,9 @@ class RoundExplorer:
                 for pid in range(n_sys):
                     found += self._of_one(found, number, pid, begun)
             else:
-                for pid in range(n_sys):  # a robot that has not stepped is as at the round's start
+                # in this phase, a robot that has not run an event has the same state and reads the same store as at the
+                # round's start
+                for pid in range(n_sys):
                     if choices := self._choices(number, pid, fleet, begun):
                         found += self._all_of_one(found, pid, choices)
         return found
@@ -161,7 +168,7 @@ class RoundExplorer:
         seen = dict.fromkeys(found)
         pending = list(seen)
         robots = range(self.machine.n_sys)
-        for mask, at in pending:  # grows within the loop
+        for mask, at in pending:  # the loop itself appends to this list
             for pid in robots:
                 if not mask >> pid & 1:
                     for choice in self._choices(number, pid, at, begun):
@@ -172,7 +179,7 @@ class RoundExplorer:
         return pending
 
     def ends_with_predecessors(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the ends of the round, each with the step that led to it."""
+        """Return every possible result of a round's events, with the step that led to it; None for no step."""
         if self.as_agents:
             return self._ways_of_agents(fleet)
         found: dict[Node, Predecessor | None] = {(0, fleet): None}
@@ -180,7 +187,7 @@ class RoundExplorer:
         for number, phase in enumerate(self.phases):
             if phase.ordered:
                 pending = list(found)
-                for node in pending:  # grows within the loop
+                for node in pending:  # the loop itself appends to this list
                     for pid in range(self.machine.n_sys):
                         pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
             else:
@@ -190,10 +197,10 @@ class RoundExplorer:
         return found
 
     def _ways_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the ends of rounds in the agents' order.
+        """Return the possible results of a round in the order of agents, each with the step that led to it.
 
-        Commits come first, at most one for each lock, then plain events by ascending pid. All events read the round's
-        start, since no commit writes what a commit under another lock reads."""
+        Commits come first, at most one for each lock, then plain events by ascending pid. All events read the store of
+        the round's start: no commit writes a variable that a commit under another lock reads."""
         machine, events = self.machine, self.machine.program.events
         found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[machine.n_sys :]
@@ -213,7 +220,9 @@ class RoundExplorer:
     def _stepped(
         self, found: dict[Node, Predecessor | None], pid: int, node: Node, choices: tuple[RobotStep, ...]
     ) -> list[Node]:
-        """Apply one robot's choices to a node, unless the robot has stepped. Return the new nodes."""
+        """Apply a robot's possible steps to a node, unless the robot has already run an event.
+
+        Return the new nodes."""
         mask, fleet = node
         if mask >> pid & 1:
             return []
@@ -283,7 +292,8 @@ class RoundExplorer:
         found = self.machine.choices(events, pid, own, seen)
         if self.representative is not None:
             found = tuple([c._replace(own=self.representative(pid, c.own, _with(seen, pid, c.slots))) for c in found])
-        if len(self.machine.discards) == discards:  # discarded events must be reported each time
+        # a result with discarded events is not stored, so that they are recorded each time
+        if len(self.machine.discards) == discards:
             known[key] = found
         return found
 
@@ -297,7 +307,9 @@ def _with(seen: Packed, pid: int, slots: int) -> Packed:
 
 
 def steps_to(found: dict[Node, Predecessor | None], node: Node) -> list[tuple[int, int, Packed]]:
-    """Return the steps of a round to a node, in their order: robot, event and the fleet afterwards."""
+    """Return the steps of a round that lead to a node, in their order.
+
+    A step consists of the pid, the event's index and the fleet afterwards."""
     taken: list[tuple[int, int, Packed]] = []
     while (came := found[node]) is not None:
         before, pid, event = came

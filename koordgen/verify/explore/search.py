@@ -1,6 +1,6 @@
 """Breadth-first search of the state space, round by round.
 
-A violation that is found has the fewest rounds.
+So the first violation that is found has the fewest rounds.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
 from koordgen.verify.prove.report.reach import RunState
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
-LOOP = "line "  # prefix of the name of a loop invariant; its line follows
+LOOP = "line "  # prefix of the name of a loop invariant, followed by its line
 SHOWN = 0.25  # seconds between two reports of the progress
 
 
@@ -40,8 +40,11 @@ class ExplorationBounds(NamedTuple):
 class ExplorationProgress(NamedTuple):
     """Progress of an exploration.
 
-    `depth`: completely explored rounds; `states`: different states at rounds' ends; `waiting`: those whose rounds are
-    still to be explored; `steps`: program steps taken; `seconds`: time spent."""
+    `depth`: number of rounds up to which all states are explored.
+    `states`: number of different states at the ends of rounds.
+    `waiting`: number of these states whose next round is not explored yet.
+    `steps`: number of program steps taken.
+    `seconds`: time spent."""
 
     depth: int
     states: int
@@ -51,12 +54,14 @@ class ExplorationProgress(NamedTuple):
 
 
 class FoundViolation(NamedTuple):
-    """A violation with its run.
+    """Violation with the run that leads to it.
 
-    `name`: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK. `failed`: the conjunct that is false in the last
-    state; without one `reason` explains the violation, and `culprit` is the event (or init) without a result that would
-    come next. `of_agents`: agents can execute each round (`is_order_of_agents`). `shortest`: the fewest rounds in the
-    language's order, if the agents' order needs more."""
+    `name`: the violated property: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK.
+    `failed`: the conjunct of an invariant that is false in the last state; None for other violations.
+    `reason`: explains the violation if `failed` is None.
+    `culprit`: the event (or `init`) that would come next but has no result, if this is the violation.
+    `of_agents`: whether agents can execute each round (`is_order_of_agents`).
+    `shortest`: number of rounds of the shortest run in the language, if agents need more rounds."""
 
     name: str
     line: int
@@ -71,9 +76,11 @@ class FoundViolation(NamedTuple):
 class ExplorationResult(NamedTuple):
     """Result of an exploration.
 
-    `stopped`: the reason why it ended early; empty if everything was explored. `unseen`: events that were never
-    enabled. `unchecked`: invariants that cannot be evaluated. `apart`: the reason why symmetry is not used.
-    `forgotten`: locals that nobody reads."""
+    `stopped`: the reason why the exploration ended early; empty if everything was explored.
+    `unseen`: events that were never enabled.
+    `unchecked`: invariants that cannot be evaluated.
+    `apart`: the reason why symmetry is not used; empty if it is used.
+    `forgotten`: local variables that are removed from states because no event reads them."""
 
     violation: FoundViolation | None
     progress: ExplorationProgress
@@ -85,19 +92,21 @@ class ExplorationResult(NamedTuple):
 
 
 class _Restart(Exception):
-    """The search must restart with fewer reductions."""
+    """Raised to restart the search with fewer reductions."""
 
 
 class _LimitReached(Exception):
-    """A limit is reached; the message says which."""
+    """Raised if a limit is reached; the message names the limit."""
 
 
 class Search:
     """One exploration.
 
-    `clock` returns seconds; `show` receives the progress from time to time. `as_agents`: only rounds that agents can
-    execute. Pids then matter, and every event may stand before another one, so neither symmetry nor reduction is used.
-    `run` raises MissingEnvironment."""
+    `clock`: returns the time in seconds.
+    `show`: receives the progress from time to time.
+    `as_agents`: explore only rounds that agents can execute. The order of pids then makes a difference, and the guard
+        of every event can prevent later ones, so neither symmetry nor the reduction of private states is used. `run`
+        raises MissingEnvironment."""
 
     def __init__(
         self, machine: Machine, around: EnvironmentSteps, bounds: ExplorationBounds, clock: Callable[[], float],
@@ -113,31 +122,34 @@ class Search:
         self._fresh()
 
     def _fresh(self) -> None:
-        """Reset everything that was explored."""
+        """Discard everything that was explored, before the search starts or restarts."""
         idle, representative = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
         self.rounds = RoundExplorer(
             self.machine, self.independence, idle, not self.apart, representative, self.as_agents
         )
-        # without reductions, for the runs that are shown
+        # explorer without reductions, used to construct the runs that are shown
         self.exact = RoundExplorer(self.machine, self.independence, idle, as_agents=self.as_agents)
-        self.known: dict[Packed, Packed | None] = {}  # state at a round's end -> a state at the end of the round before
-        self.within: set[Packed] = set()  # explored states before the environment's step
-        self.begin: dict[Packed, Packed] = {}  # state after init -> state before it
-        self._then: dict[Packed, tuple[int, ...]] = {}  # representatives of private states after the environment's step
-        self.live: set[Packed] = set()  # states from which some event will be enabled, though none is now
+        # state at the end of a round -> its predecessor at the end of the previous round
+        self.known: dict[Packed, Packed | None] = {}
+        # states after a round's events, before the environment's step, that were explored
+        self.within: set[Packed] = set()
+        self.begin: dict[Packed, Packed] = {}  # state after `init` -> the state before `init`
+        # private states -> their representatives after the environment's step
+        self._then: dict[Packed, tuple[int, ...]] = {}
+        self.live: set[Packed] = set()  # states without an enabled event from which some event can become enabled later
         self.stuck = 0
         self.steps = self.depth = 0
         self.waiting = 0
 
     def run(self) -> ExplorationResult:
-        """Explore, until everything is explored or a limit is reached."""
+        """Explore until everything is explored, a violation is found, or a limit is reached."""
         self.started = self.shown = self.clock()
         violation, stopped = None, ""
         try:
             violation, stopped = self._settled()
         except _LimitReached as over:
             stopped = str(over)
-        except OutOfTime:  # within one event, or one round
+        except OutOfTime:  # the time limit was reached within one event or one round
             stopped = self._bound_of_time()
         except KeyboardInterrupt:
             stopped = "interrupted"
@@ -149,7 +161,7 @@ class Search:
         return ExplorationResult(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
 
     def _settled(self) -> tuple[FoundViolation | None, str]:
-        """Repeat the search, with fewer reductions each time, until all of them are justified."""
+        """Repeat the search with fewer reductions until no reduction proves wrong."""
         while True:
             try:
                 return self._explored()
@@ -195,7 +207,7 @@ class Search:
         return None, ""
 
     def _round(self, fleet: Packed, following: list[Packed]) -> FoundViolation | None:
-        """Explore one round from one state, and add new states to `following`."""
+        """Explore one round from one state, and append new states to `following`."""
         found = self.rounds.ends(fleet)
         self.steps += len(found) - 1
         if self.machine.discards:
@@ -225,7 +237,7 @@ class Search:
         return None
 
     def alike(self, fleet: Packed) -> Packed:
-        """Return the representative of a fleet."""
+        """Return the fleet that represents the given fleet under symmetry and reduction."""
         return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
 
     def _moved(self, end: Packed) -> Iterator[Packed]:
@@ -248,7 +260,7 @@ class Search:
         return fleet if self.apart else sorted_robots(fleet)
 
     def _starts(self) -> Iterator[tuple[Packed, Packed]]:
-        """Yield fleets before init, each with one after it."""
+        """Yield pairs of a fleet before `init` and one after it."""
         program, machine = self.machine.program, self.machine
         rules = [p for p in program.properties if p.kind == "initially"]
         for sensors in self.around.starts():
@@ -263,7 +275,7 @@ class Search:
                 yield from [(before, after) for after in after_init] if not machine.discards else [(before, before)]
 
     def _look(self) -> None:
-        """Report the progress when due. Raises _BoundReached."""
+        """Report the progress if a report is due. Raises _LimitReached."""
         now = self.clock()
         if now > self.shown + SHOWN:
             self.shown = now
@@ -277,14 +289,18 @@ class Search:
         return f"the bound of {self.bounds.seconds or 0:g} s"
 
     def _dead(self, fleet: Packed) -> bool:
-        """Return whether no event will ever be enabled, whatever the environment does, though some robot runs."""
+        """Return whether the fleet is deadlocked.
+
+        A fleet is deadlocked if some robot has not stopped, but no event will ever be enabled, whatever the environment
+        does."""
         owns = self.machine.owns.values
         if all(owns[own].stopped for own in fleet[: self.machine.n_sys]):
             return False
         seen, pending = {fleet}, [fleet]
-        for state in pending:  # grows within the loop
+        for state in pending:  # the loop itself appends to this list
             if state in self.live or len(self.rounds.ends(state)) > 1 or self.machine.discards:
-                self.machine.discards.clear()  # they occur again when that state's round is explored
+                # these events are discarded again, and reported, when the round of this state is explored
+                self.machine.discards.clear()
                 self.live.add(fleet)
                 return False
             new = [m for m in map(self.alike, self.around.moved(state)) if m not in seen]
@@ -293,11 +309,13 @@ class Search:
         return True
 
     def _run_to(self, fleet: Packed) -> list[RunState]:
-        """Return a run to a state at a round's end, with the real robots of each step."""
+        """Return a run to a state at the end of a round. Its states are real fleets, not representatives."""
         return self._way_to(fleet)[0]
 
     def _way_to(self, fleet: Packed) -> tuple[list[RunState], Packed]:
-        """Return a run to a state at a round's end, and the fleet in which it ends."""
+        """Return a run to a state at the end of a round, and the fleet in which this run ends.
+
+        Representatives are replaced by real fleets."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
@@ -312,7 +330,9 @@ class Search:
         return run_states, at
 
     def _step_to(self, run_states: list[RunState], at: Packed, target: Packed, number: int) -> Packed:
-        """Append one round's states that leads to a fleet with the representative `target`. Return that fleet."""
+        """Append one round to a run, so that it leads to a fleet with the representative `target`.
+
+        Return this fleet."""
         found = self.exact.ends_with_predecessors(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
@@ -323,10 +343,10 @@ class Search:
                             RunState(self.machine.state(moved, number + 1), "(environment)", None, number)
                         )
                     return moved
-        raise InternalError("a state that was explored has no parent that leads to it")
+        raise InternalError("an explored state cannot be reached from its predecessor")
 
     def _within(self, fleet: Packed, end: Packed) -> list[RunState]:
-        """Return a run that ends within the round after `fleet`, in a fleet with the representative `end`."""
+        """Return a run that ends after the events of the round from `fleet`, in a fleet represented by `end`."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
         found = self.exact.ends_with_predecessors(at)
@@ -340,13 +360,15 @@ class Search:
     def _false_in(self, found: DiscardedEvent, choice: RobotStep, event: str, at: Packed, number: int) -> RunState:
         """Return the state after an event in which a loop invariant is false."""
         machine = self.machine
-        if found.event < 0:  # the others run init, too
+        if found.event < 0:  # all other robots run `init` as well
             after_init = next(fleet for fleet in machine.after_init(at) if fleet[found.pid] == choice.own)
             return RunState(machine.state(after_init), event, None, 0)
         return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
     def _broken(self, run_states: list[RunState]) -> FoundViolation:
-        """Return the violation of the invariant that is false in the last state, by the semantics."""
+        """Return the violation of the invariant that is false in the last state of a run.
+
+        The executable semantics decides which conjunct is false."""
         program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
             if failed := failing_conjunct(property_, program, state):
@@ -354,15 +376,16 @@ class Search:
         raise InternalError("an invariant is false as compiled, and true by the executable semantics")
 
     def _discarded_in(self, fleet: Packed) -> FoundViolation:
-        """Return the violation of an event without a result in a round from `fleet`.
+        """Return the violation for an event without a result, in a round from `fleet`.
 
-        The round is explored again with the real robots of each step."""
+        The round is explored again from a real fleet, not a representative."""
         run_states, at = self._way_to(fleet)
         number = run_states[-1].round + 1
         self.machine.discards.clear()
         found = self.exact.ends_with_predecessors(at)
         discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, run_states[-1].round + 1
-        if self.machine.program.events[discard.event].lock is not None:  # it read what others wrote in this round
+        # an atomic event reads what other robots wrote in this round
+        if self.machine.program.events[discard.event].lock is not None:
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
             node = min(there, key=lambda node: node[0].bit_count())
             run_states += self._taken(found, node, number)
@@ -370,7 +393,11 @@ class Search:
         return self._discarded(discard, run_states, at, number)
 
     def _discarded(self, found: DiscardedEvent, run_states: list[RunState], at: Packed, number: int) -> FoundViolation:
-        """Return the violation of an event in the fleet `at`, in round `number` after `run_states`."""
+        """Return the violation for a discarded event, or one with a false loop invariant.
+
+        `at`: the fleet in which the event runs.
+        `number`: the round.
+        `run_states`: the run to this round."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             run_states.append(self._false_in(found, found.choice, event, at, number))

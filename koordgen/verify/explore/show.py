@@ -44,12 +44,12 @@ def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: i
     if result.violation is not None:
         lines += ["", *_violation(result.violation, program), ""]
     elif result.stopped:
-        lines += _wrapped(f"ended by: {result.stopped}; nothing found so far")
+        lines += _wrapped(f"ended by: {result.stopped}; no violation found so far")
     else:
         kept = [p.name for p in program.properties if p.kind == "invariant" and p.name not in result.unchecked]
-        lines += _wrapped(f"kept in every state: {', '.join(kept) or 'the program has no invariants'}")
+        lines += _wrapped(f"true in every state: {', '.join(kept) or 'the program has no invariants'}")
     if result.unchecked:
-        lines += _wrapped(f"not checked, since a spec fun has no meaning here: {', '.join(result.unchecked)}")
+        lines += _wrapped(f"not checked, since a spec fun cannot be evaluated: {', '.join(result.unchecked)}")
     if result.unseen and result.violation is None:
         never = "never enabled" if not result.stopped else "not enabled so far"
         lines += _wrapped(f"{never}: {', '.join(f'{e.name} (line {e.span.line})' for e in result.unseen)}")
@@ -57,7 +57,7 @@ def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: i
 
 
 def progress_text(progress: ExplorationProgress) -> str:
-    """Return the text of the progress: states, steps, seconds."""
+    """Return the progress as text: states, steps, seconds."""
     waiting = f"{progress.waiting} of them waiting, " if progress.waiting else ""
     states = f"{progress.states} state{'s' * (progress.states != 1)}"
     return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
@@ -75,9 +75,9 @@ def _violation(found: FoundViolation, program: decl.Program) -> Iterator[str]:
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
     if found.name.startswith(LOOP):
         what = f"the loop invariant on {found.name} is violated"
-    fewer = "no run of fewer rounds leads to it"
+    fewer = "no run with fewer rounds leads to it"
     if found.shortest is not None:
-        fewer = f"the language allows it after {found.shortest}, in an order that agents do not have"
+        fewer = f"the language allows it after {found.shortest}, in an order of events that agents never use"
     yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
     yield from run_state_lines(found.run_states)
     if found.failed is not None:
@@ -165,4 +165,4 @@ def _itf(value: Any) -> Any:
         case tuple():
             return [*map(_itf, value)]
         case _:
-            return str(value)  # the format has no real numbers
+            return str(value)  # the format has no real numbers, so a float is written as text

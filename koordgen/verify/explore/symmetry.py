@@ -1,11 +1,16 @@
-"""Symmetry: whether a program treats all robots alike, so that permuted fleets are equivalent.
+"""Symmetry: decides whether a program treats all robots alike, so that permuted fleets are equivalent.
 
-A program is symmetric if nothing in it distinguishes one pid from another: `pid` occurs only as the index of the
-robot's own slot; a whole allread variable only where the order of its slots does not matter (`in`, `count`, `len`, and
-for ints `sum`, `min`, `max`); names that a quantifier binds to robots only as indices and where two of them are
-compared for equality, in a formula that always has a value. Then every permutation of robots maps each step of the
-program, of the environment (whose values are the same for all robots) and each property onto itself, and one fleet may
-represent all its permutations. Any other construct disables the reduction, which costs states but is never wrong.
+A program is symmetric if nothing in it distinguishes one pid from another. That is so under three conditions:
+
+- `pid` occurs only as the index of the robot's own slot.
+- A whole allread variable occurs only where the order of its slots does not matter: in `in`, `count` and `len`, and for
+  ints also in `sum`, `min` and `max`.
+- A name that a quantifier binds to robots occurs only as an index, and where two such names are compared for equality.
+  The quantified formula must always have a value.
+
+Then every permutation of robots maps each step of the program, each step of the environment (whose values are the same
+for all robots) and each property onto itself. So one fleet can represent all its permutations. Any other construct
+disables the reduction: the search then visits more states, but its result is right.
 """
 
 from __future__ import annotations
@@ -24,7 +29,9 @@ _SAFE = frozenset(("Point", "Rect", "Ball", "distance", "abs", "len", "count"))
 
 
 def asymmetry(program: decl.Program) -> str:
-    """Return what in a program distinguishes robots, and its line; empty if the program is symmetric."""
+    """Return the first construct of a program that distinguishes robots, with its line.
+
+    The text is empty if the program is symmetric."""
     parts = [(p.formula, "a property") for p in program.properties if p.kind != "axiom"]
     parts += [(a.formula, "an assumption") for m in program.modules for a in m.assumptions]
     for part, name in [*parts, *[((e.guard, e.effect), e.name) for e in program.events], (program.init, "init")]:
@@ -35,7 +42,9 @@ def asymmetry(program: decl.Program) -> str:
 
 
 def _apart(node: Part, robots: frozenset[str]) -> Span | None:
-    """Return where a part distinguishes robots; `robots` are the names that stand for one."""
+    """Return the position of the first construct that distinguishes robots; None if there is none.
+
+    `robots`: the names that quantifiers bind to robots."""
     match node:
         case tuple():
             return _first_apart(node, robots)
@@ -74,7 +83,7 @@ def _first_apart(parts: Iterable[Part], robots: frozenset[str]) -> Span | None:
 def _may_fail(body: expr.Expr) -> bool:
     """Return whether a formula may have no value.
 
-    If so, the order of robots decides the value of a quantifier."""
+    If it may, the order in which a quantifier visits robots can decide the quantifier's value."""
     for node in walk(body):
         match node:
             case expr.At() | expr.Slice() | expr.Call() | expr.ExternCall() | expr.PortCall():
@@ -95,12 +104,12 @@ def _unordered(name: str, type_: object) -> bool:
 
 
 def _name_of_self(item: expr.Expr) -> bool:
-    """Return whether an item is the text of `pid`, which is put out and read by nobody."""
+    """Return whether an item of an output is the text of `pid`. No event reads an output."""
     return isinstance(item, expr.Builtin) and item.name == "str" and isinstance(item.args[0], expr.Pid)
 
 
 def sorted_robots(fleet: Packed) -> Packed:
-    """Return the representative of a fleet and all its permutations."""
+    """Return the fleet that represents the given fleet and all its permutations: the sorted one."""
     n_sys = len(fleet) // 2
     robots = sorted(zip(fleet[:n_sys], fleet[n_sys:-1], strict=True))
     return (*[own for own, _ in robots], *[slots for _, slots in robots], fleet[-1])

@@ -1,4 +1,6 @@
-"""Execution of a counterexample: plans rounds in which agents can run it (`koordgen sim --follow`).
+"""Execution of a counterexample by agents: plans the rounds in which agents can run it.
+
+`koordgen sim --follow` uses the plan.
 
 Owns: the plan of such a run.
 Offers: `plan`, `read`.

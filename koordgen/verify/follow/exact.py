@@ -1,4 +1,4 @@
-"""Exact numbers of a counterexample, which a trace stores as text, compared with robots' floats."""
+"""Comparison of a counterexample's exact numbers, which a trace stores as text, with robots' floats."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from fractions import Fraction
 from math import isclose
 from typing import Any
 
-ROUNDING = 1e-9  # relative tolerance between an exact number and a float
+ROUNDING = 1e-9  # relative and absolute tolerance between an exact number and a float
 EXACT = re.compile(r"-?[0-9]+/[0-9]+")
 
 
 def fraction(data: Any) -> str:
-    """Return the first text of a fraction in JSON; empty if there is none."""
+    """Return the first fraction, such as "1/3", in the texts of a JSON value; empty if there is none."""
     match data:
         case str() if EXACT.fullmatch(data):
             return data
@@ -27,9 +27,10 @@ def fraction(data: Any) -> str:
 
 
 def nearest(data: Any) -> float:
-    """Return the float nearest to a number, if it is within the precision of floats.
+    """Return the float that is nearest to a number of a trace, which may be a fraction as text.
 
-    Raises ValueError, TypeError, ArithmeticError, for instance for numbers that are too large or too small."""
+    Raises ValueError, TypeError or ArithmeticError, for instance if the number is so large or so small that no float is
+    near it."""
     if not fraction(data):
         return float(data)
     exact = Fraction(data)
@@ -42,8 +43,8 @@ def nearest(data: Any) -> float:
 def agree(told: Any, meant: Any, rounded: bool = False) -> bool:
     """Return whether two values in JSON are equal.
 
-    Exact numbers, which are texts, need be equal up to rounding only. If the computation `rounded`, so do all
-    floats."""
+    An exact number, which is a text, only needs to be equal up to ROUNDING. If `rounded`, this holds for all floats,
+    since the state that they were computed from was rounded."""
     if isinstance(told, list) and isinstance(meant, list):
         return len(told) == len(meant) and all(agree(t, m, rounded) for t, m in zip(told, meant, strict=True))
     exact = isinstance(told, str) or (rounded and type(told) in (int, float) and isinstance(meant, float))

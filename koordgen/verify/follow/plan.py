@@ -1,9 +1,9 @@
-"""Plan of a counterexample for agents: which robot tries which event in which of the agents' rounds.
+"""Plan of a counterexample for agents: the event that each robot runs in each of the agents' rounds.
 
-In a round of the semantics, atomic events run one after another, each on the store that the previous one left. Agents
-let one robot commit per lock in a round, and all of them read the store at its start. So a round is split into the
-fewest agents' rounds that lead to the state in the trace by the agents' own rule. Sensors keep their values between
-these.
+In a round of the semantics, atomic events run one after another, each on the store that the previous event left. Agents
+let only one robot commit per lock in a round, and all events read the store of the round's start. So one round of the
+trace is split into the fewest agents' rounds that, by the agents' rules, lead to the state in the trace. Sensors keep
+their values between these rounds.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from koordgen.verify.follow.exact import agree, fraction, nearest
 from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, CounterexampleTrace, RobotRecord, TraceStep
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-MOST = 5  # most events of a round for which every split is tried; for more, only the usual splits are
-LATEST = 3  # agents' rounds after the last one of a deadlock, in which every robot may choose its events
+# Largest number of events in a round for which every split is tried. For more events, only the usual splits are tried.
+MOST = 5
+# Number of agents' rounds at the end of a deadlock's plan, in which every robot may choose its events itself.
+LATEST = 3
 
-SHORT = "a proof's numbers are exact: give --param, or other values in the program, that are short as decimals"
+SHORT = "a proof uses exact numbers: choose params (--param) or values in the program that are short decimals"
 
-Events = Mapping[int, str]  # by pid
+Events = Mapping[int, str]  # pid -> event
 
 
 class CannotExecute(Exception):
-    """The trace is not of this program, or robots cannot do it.
+    """Raised if the trace does not belong to this program, or robots cannot execute it.
 
     The message gives the reason, `help` a remedy."""
 
@@ -43,14 +45,18 @@ class CannotExecute(Exception):
 
 
 class ModelOnly(CannotExecute):
-    """The trace is, or may be, a behaviour of the language that agents do not have."""
+    """Raised if the language allows the trace, or may allow it, but agents never behave in this manner."""
 
 
 class AgentRound(NamedTuple):
-    """One agents' round.
+    """One round of agents.
 
-    `of`: the round of the trace to which it belongs; `events`: the event that each robot is to try; `free`: robots
-    choose their events themselves; `state`: the state when it begins; `calls` by pid."""
+    `of`: the round of the trace to which this round belongs.
+    `line`: the line of the trace at which this round begins.
+    `events`: the event that each robot must run.
+    `free`: whether robots choose their events themselves.
+    `state`: the state at the start of the round.
+    `calls`: pid -> the recorded calls of callable ports."""
 
     of: int
     line: int
@@ -63,19 +69,19 @@ class AgentRound(NamedTuple):
 class ExecutionPlan(NamedTuple):
     """Plan of a run.
 
-    The last of `rounds` has no events, so that the state after the one before it is observed. `found`: the agents'
-    round after whose events (0: after `init`) the trace's violation must occur; `environment`: it must occur after the
-    environment's step that follows."""
+    `rounds`: the agents' rounds. The last round has no events; its start shows the state after the round before it.
+    `found`: the number of the agents' round after whose events the trace's violation must occur; 0 for `init`.
+    `environment`: whether the violation must occur after the environment's step that follows these events."""
 
     given: CounterexampleTrace
     rounds: tuple[AgentRound, ...]
-    calls: Mapping[int, tuple[Any, ...]]  # calls of callable ports in `init`
+    calls: Mapping[int, tuple[Any, ...]]  # pid -> the recorded calls of callable ports in `init`
     found: int
     environment: bool
 
 
 def document(plan: ExecutionPlan, program_hash: str) -> dict[str, Any]:
-    """Return the plan in the format of the sim bundle (targets/sim/follow/plan.py)."""
+    """Return the plan in the format of the simulation bundle (targets/sim/follow/plan.py)."""
     given = plan.given
     return {
         "trace": str(given.path),
@@ -120,14 +126,14 @@ class _Planner:
         self.events = {event.name: event for event in program.events}
         self.sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
-        self.cleared: set[tuple[int, str]] = set()  # robots, with their sensors that a command has cleared
+        self.cleared: set[tuple[int, str]] = set()  # (pid, sensor) of each sensor that a command has cleared
         self.rounds: list[AgentRound] = []
         self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
 
     def plan(self) -> ExecutionPlan:
         first, *steps = self.given.steps
         if first.event != BEGINNING:
-            raise self.broken(first, f"it begins with {first.event}")
+            raise self.broken(first, f"the trace begins with {first.event}")
         state = self.begun(first)
         calls: Mapping[int, tuple[Any, ...]] = {}
         if self.given.initial and steps:
@@ -177,7 +183,10 @@ class _Planner:
         return state
 
     def split(self, acts: list[TraceStep], state: State, world: World) -> list[tuple[list[TraceStep], State]]:
-        """Return the fewest agents' rounds that lead to the trace's state, each with the state after it."""
+        """Return the fewest agents' rounds that lead to the state in the trace.
+
+        For each of them, return its steps and the state after it. Raises CannotExecute if no agents' rounds lead to
+        that state."""
         off = ""
         for blocks in self.splits(acts):
             at, found = state, []
@@ -217,9 +226,9 @@ class _Planner:
         )
 
     def stepped(self, acts: list[TraceStep], state: State, world: World) -> State | None:
-        """Return the state after a round of the semantics, in the order of the steps.
+        """Return the state after a round of the semantics in which the steps run in the given order.
 
-        None if a step has no result."""
+        Returns None if a step has no result."""
         at = state
         for step in acts:
             seen = at if self.events[step.event].lock is not None else at._replace(store=state.store)
@@ -230,10 +239,10 @@ class _Planner:
         return at
 
     def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
-        """Yield ways to distribute a round's events over agents' rounds, the fewest rounds first.
+        """Yield possible distributions of a round's events over agents' rounds, few rounds first.
 
-        First all events in one round; then the plain ones together among the atomic ones, in their order; for few
-        events, every partition."""
+        The first one has all events in one round. The next ones have each atomic event in a round of its own, in the
+        trace's order, and all plain events together in one round. For at most MOST events, all partitions follow."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
         atomic = [step for step in acts if step not in plain_ones]
         yield [acts]
@@ -248,10 +257,10 @@ class _Planner:
             yield from sorted(_partitions(acts), key=len)
 
     def done(self, block: list[TraceStep], state: State, world: World, begun: State | None = None) -> list[Done] | None:
-        """Return the steps of one agents' round, all on the store of its start.
+        """Return the steps of one agents' round, all of which read the store of the round's start.
 
-        None if one of them is impossible, or two need one lock. `begun`: the state at the start of the trace's round,
-        if it is not `state`; it decides which events have priority."""
+        Returns None if a step is impossible, or if two steps need the same lock. `begun`: the state at the start of the
+        trace's round, which decides the events with priority; None if it is `state`."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -273,7 +282,7 @@ class _Planner:
         return found
 
     def begun(self, first: TraceStep) -> State:
-        """Return the trace's first state."""
+        """Return the first state of the trace."""
         sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
         if self.given.initial:
@@ -296,7 +305,7 @@ class _Planner:
 
     def sensed(self, step: TraceStep, told: RobotRecord, pid: int) -> dict[str, Value]:
         if set(told.sensors) != self.sensors:
-            raise self.broken(step, f"its sensors are {', '.join(told.sensors) or 'none'}")
+            raise self.broken(step, f"the trace's sensors are {', '.join(told.sensors) or 'none'}")
         known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
         return {**self.values(step, told.sensors), **known}
 
@@ -311,7 +320,7 @@ class _Planner:
             raise self.broken(step, f"the program has no {error}") from None
 
     def world(self, calls: Mapping[int, tuple[Any, ...]]) -> World:
-        """Return a world in which callable ports give the answers in the trace."""
+        """Return a world in which callable ports give the answers that the trace contains."""
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
             given = [plain(arg) for arg in args]
@@ -329,9 +338,9 @@ class _Planner:
                 self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """Return the sensors of a robot that commands clear but no command has cleared yet.
+        """Return the sensors of a robot that commands clear, but that no command has cleared yet.
 
-        On robots these are true, whatever a counterexample to induction says."""
+        On robots these sensors are true, even if a counterexample to induction contains another value."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
 
     def compare(self, step: TraceStep, state: State) -> None:
@@ -339,7 +348,7 @@ class _Planner:
             raise CannotExecute(f"{self.given.path}:{step.line}: after {step.event}, {difference}")
 
     def differs(self, step: TraceStep, state: State) -> str:
-        """Describe a difference between a state and the trace; empty if there is none."""
+        """Return a description of a difference between a state and the trace; empty if they are equal."""
         for pid, told in enumerate(step.robots):
             robot = state.robots[pid]
             meant = {**robot.locals, **robot.ports, **state.store.cells}
@@ -358,7 +367,9 @@ class _Planner:
         return agree(told, meant, bool(self.rounded))
 
     def broken(self, step: TraceStep, why: str) -> CannotExecute:
-        return CannotExecute(f"{self.given.path}:{step.line}: {why}", "it is not a counterexample of this program")
+        return CannotExecute(
+            f"{self.given.path}:{step.line}: {why}", "the trace is not a counterexample of this program"
+        )
 
 
 def _by_round(steps: list[TraceStep]) -> Iterator[tuple[int, list[TraceStep]]]:
@@ -382,7 +393,7 @@ def _calls(steps: list[TraceStep]) -> dict[int, tuple[Any, ...]]:
 
 
 def _partitions(acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
-    """Yield every partition of events into a sequence of rounds."""
+    """Yield every partition of a round's events into a sequence of rounds."""
     if not acts:
         yield []
         return

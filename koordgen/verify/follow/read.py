@@ -1,4 +1,4 @@
-"""Parser of a counterexample's trace into steps of a fleet.
+"""Parser of a counterexample's trace: reads it as steps of a fleet.
 
 koordgen/verify/prove/report/trace.py writes such traces.
 """
@@ -14,13 +14,15 @@ from koordgen.verify.replay.trace import TraceParts, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # equal to the limit in koordgen/runtime/net/wire.py; a test compares them
+MOST_ROBOTS = 128  # the same limit as in koordgen/runtime/net/wire.py; a test compares both
 
 Values = Mapping[str, Any]  # name -> value in JSON
 
 
 class RobotRecord(NamedTuple):
-    """Record of one robot after a step; `calls` of callable ports: port, arguments, answer."""
+    """Values of one robot after a step.
+
+    `calls`: (callable port, arguments, answer) of each call in the step."""
 
     sensors: Values
     shared: Values
@@ -31,10 +33,11 @@ class RobotRecord(NamedTuple):
 
 
 class TraceStep(NamedTuple):
-    """One step.
+    """One step of the fleet.
 
-    `line`: that of its first record. `event`: BEGINNING, INIT, ENVIRONMENT, or an event of robot `pid`; without such a
-    robot `pid` is -1."""
+    `line`: the line of the step's first record.
+    `event`: BEGINNING, INIT, ENVIRONMENT, or the name of an event.
+    `pid`: the robot that runs the event; -1 for the other steps."""
 
     line: int
     round: int
@@ -46,7 +49,8 @@ class TraceStep(NamedTuple):
 class Ending(NamedTuple):
     """Violation after the last step.
 
-    `pid` and `event`: the event that would come next and has no result; -1 if there is none."""
+    `name`: the violated property.
+    `pid`, `event`: the event that would come next but has no result, if this is the violation; otherwise -1 and ""."""
 
     name: str
     line: str
@@ -56,11 +60,13 @@ class Ending(NamedTuple):
 
 
 class CounterexampleTrace(NamedTuple):
-    """A whole trace.
+    """Trace of a counterexample.
 
-    `initial`: it begins in an initial state. `params` are in JSON; `given` names those that differ from the program's
-    values. Without `ending` the trace is cut off, or nothing is violated in it. `cut`: the line from which on it cannot
-    be read; 0 if all of it can."""
+    `initial`: whether the trace begins in an initial state.
+    `params`: values of all params, in JSON.
+    `given`: the names of the params that differ from the program's values.
+    `ending`: the violation; None if the trace is cut off or contains no violation.
+    `cut`: the line from which on the trace cannot be read; 0 if all of it can be read."""
 
     path: Path
     app: str
@@ -75,7 +81,7 @@ class CounterexampleTrace(NamedTuple):
 
 
 def read(path: Path) -> CounterexampleTrace:
-    """Read as much of a trace as possible. Raises BadTrace."""
+    """Read a trace, as far as it can be read. Raises BadTrace."""
     blank = TraceParts(path, "", "", (), False, 0)
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
@@ -95,7 +101,7 @@ def read(path: Path) -> CounterexampleTrace:
     steps, ending, cut = _steps(path, ((number, record) for number, record, _ in lines), n_sys)
     cut = blank.cut or cut
     if not steps:
-        raise BadTrace(f"{path}: it contains no complete step")
+        raise BadTrace(f"{path}: the trace contains no complete step")
     initial = header["counterexample"] == "run"
     return CounterexampleTrace(path, app, program_hash, initial, n_sys, params, given, steps, ending, cut)
 
@@ -103,7 +109,9 @@ def read(path: Path) -> CounterexampleTrace:
 def _steps(
     path: Path, found: Iterator[tuple[int, dict[str, Any]]], n_sys: int
 ) -> tuple[tuple[TraceStep, ...], Ending | None, int]:
-    """Return the complete steps, the violation, and the line at which an incomplete step begins (0: none)."""
+    """Return the complete steps, the violation, and the line at which an incomplete step begins.
+
+    The line is 0 if all steps are complete."""
     steps: list[TraceStep] = []
     part: list[dict[str, Any]] = []
     first = 0
@@ -117,7 +125,7 @@ def _steps(
                 continue
             first = first if part else number
             if record["pid"] != len(part):
-                raise ValueError(f"robot {record['pid']!r} where robot {len(part)} is expected")
+                raise ValueError(f"robot {record['pid']!r} instead of robot {len(part)}")
             part.append(record)
             if len(part) == n_sys:
                 steps.append(_step(first, part))
@@ -132,7 +140,7 @@ def _step(line: int, part: list[dict[str, Any]]) -> TraceStep:
     if type(event) is not str or type(round_) is not int or round_ < 0:
         raise ValueError(f"step {event!r} of round {round_!r}")
     if any((record["step"], record["round"]) != (event, round_) for record in part):
-        raise ValueError("records of one step are of different steps")
+        raise ValueError("the records of one step name different steps")
     acting = [pid for pid, record in enumerate(part) if record["skipped"] is None]
     alone = event not in (BEGINNING, INIT, ENVIRONMENT)
     if alone and len(acting) != 1:
@@ -157,5 +165,5 @@ def _ending(record: dict[str, Any], n_sys: int) -> Ending:
 
 def _table(value: Any) -> Values:
     if not isinstance(value, dict):
-        raise TypeError(f"{value!r} where a table is expected")
+        raise TypeError(f"{value!r} instead of a table")
     return value

@@ -1,4 +1,4 @@
-"""Replay: runs a traced program again by the semantics, on the inputs that its robots recorded.
+"""Replay: runs a traced program again by the executable semantics, on the inputs that robots recorded.
 
 Owns: reading of traces, and checks of their records.
 Offers: `trace.open_trace`, `robot`, `fleet`.

@@ -1,6 +1,6 @@
 """Replay of a whole trace, robot by robot.
 
-If the trace has all robots of the fleet, the shared store is compared, too.
+If the trace contains all robots of the fleet, the shared store is compared, too.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from koordgen.verify.replay.values import plain
 def replay_trace(
     program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: TraceParts, counts: Counts
 ) -> Iterator[Difference]:
-    """Yield every difference, in the trace's order. Raises BadTrace, Unreplayable."""
+    """Yield every difference between trace and program, in the trace's order.
+
+    Raises BadTrace, Unreplayable."""
     n_sys = len(trace.robots)
     robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
     stores = None if trace.own else Stores(program, n_sys, trace)
@@ -29,9 +31,10 @@ def replay_trace(
             yield from _view(line, views)
             continue
         if line.record["kind"] == "init":
-            views.clear()  # they belong to an earlier mission
+            views.clear()  # the views recorded so far belong to an earlier mission
         robot = robots[line.pid]
-        if trace.cut and line.record["kind"] == "checkpoint":  # an older part ends within a record
+        # the previous part of the trace ends within a record, so records are missing here
+        if trace.cut and line.record["kind"] == "checkpoint":
             robot.skip()
         yield from robot.line(line)
         if robot.saw is not None and stores is not None:
@@ -43,7 +46,9 @@ def replay_trace(
 
 
 def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
-    """Compare a view with `views`, those recorded so far. All records of one view number must agree."""
+    """Compare a view record with the views recorded so far.
+
+    All records of the same view number must agree."""
     try:
         number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -55,10 +60,10 @@ def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Differ
 
 
 class Stores:
-    """Shared store of each round, computed from the writes that all robots recorded.
+    """Shared store after each round, computed from the writes that all robots recorded.
 
-    Commits are applied first, then plain events by ascending pid. From the round on in which a robot died it is
-    unknown, since the robot may have written without a record."""
+    The writes of commits are applied first, then those of plain events by ascending pid. If a robot's process ended, it
+    may have written without a record. So the store is unknown from that round on."""
 
     def __init__(self, program: decl.Program, n_sys: int, trace: TraceParts) -> None:
         self._writes = RecordedWrites(program, n_sys)
@@ -83,7 +88,7 @@ class Stores:
         }  # round -> store after the round
 
     def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
-        """Compare a robot's copy at a round's start with the store after the round before."""
+        """Compare a robot's copy of the store at a round's start with the store after the previous round."""
         round_ = int(line.record["round"])
         if round_ - 1 > self._until:
             return

@@ -1,4 +1,4 @@
-"""Extern functions of a program, called by the semantics through the generated code."""
+"""Extern functions of a program, which the semantics calls through the robots' generated code."""
 
 from __future__ import annotations
 
@@ -18,27 +18,30 @@ from koordgen.lang.semantics.values import RecordValue, Value
 
 
 class CannotCall(Exception):
-    """The file of the extern functions cannot be used; the message gives the reason."""
+    """Raised if the file of the extern functions cannot be used; the message gives the reason."""
 
 
 def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[..., Value]]:
-    """Return the extern functions by name. Loads the user's file. Raises CannotCall."""
+    """Return the extern functions by name, loaded from the user's file. Raises CannotCall."""
     if not program.externs:
         return {}
     if file is None or not file.is_file():
-        raise CannotCall(f"{file or functions_module(program) + '.py'}, which has the extern functions, is not there")
+        raise CannotCall(
+            f"{file or functions_module(program) + '.py'}, the file with the extern functions, does not exist"
+        )
     load(program, file)
     names = Names(program)
-    module = sys.modules["replayed"] = ModuleType("replayed")  # annotations of records are resolved in it
+    module = sys.modules["replayed"] = ModuleType("replayed")  # Python resolves the annotations of record classes here
     vars(module)["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), vars(module))
     return {f.name: _called(f, vars(module), names) for f in program.externs}
 
 
 def load(program: decl.Program, file: Path) -> None:
-    """Import the file, under the name by which generated code imports it. Raises CannotCall."""
+    """Import the user's file as the module name that generated code imports. Raises CannotCall."""
     name = functions_module(program)
-    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))  # with any suffix
+    # The explicit loader accepts a file with any suffix.
+    spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))
     assert spec is not None and spec.loader is not None
     module = sys.modules[name] = util.module_from_spec(spec)
     sys.path.insert(0, str(file.parent))
@@ -66,7 +69,9 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
 
 def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
-    """Convert a value of the semantics to the robots' form, in which records have the program's classes."""
+    """Convert a value of the semantics to the robots' form.
+
+    In the robots' form, records are objects of the program's classes."""
     match type_:
         case RecordType(name, fields):
             parts = zip(value.fields, fields, strict=True)

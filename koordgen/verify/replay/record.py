@@ -1,6 +1,6 @@
-"""Checks of a trace's records: their form by the schema, and limits.
+"""Checks of a trace's records: their form, as the schema demands it, and limits of their values.
 
-A trace is untrusted input. Each reader of a trace calls `sound` first, and may then use the record's keys.
+A trace is untrusted input. Each reader of a trace calls `sound` first, and may then rely on the record's keys.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ _WRITES = ("locals", "shared", "actuators", "stopped")
 
 
 class Unsound(ValueError):
-    """A record is unusable; the message says what is wrong with it."""
+    """Raised if a record is unusable; the message describes the mistake."""
 
 
 def sound(record: Mapping[str, Any], line: bytes) -> dict[str, Any]:
-    """Return the fields of a record that the schema knows.
+    """Return those fields of a record that the schema knows. Raises Unsound.
 
-    `line` is the text of the record, whose kind is in the schema. Raises Unsound."""
+    `line`: the text of the record. The schema must contain the record's kind."""
     kind = record["kind"]
     if kind == "header":
         part = record.get("part", 0)

@@ -1,4 +1,4 @@
-"""Replay of one robot's rounds: recorded inputs, and recorded outputs for comparison."""
+"""Replay of one robot's rounds: runs them on the recorded inputs, and compares the recorded outputs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from koordgen.verify.replay.store import had_frame
 from koordgen.verify.replay.trace import TraceLine
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-OVERRAN = "not finished by the round's publish deadline"  # a fault that depends on the robot's clock alone
+# Reason of a discarded event that depends on the robot's clock alone, so that no replay can check it.
+OVERRAN = "not finished by the round's publish deadline"
 
 
 class Difference(NamedTuple):
-    """A difference between trace and program.
+    """Difference between trace and program.
 
-    `told`: the value in the trace; `meant`: the value by the semantics."""
+    `number`: the line of the trace.
+    `told`: the value in the trace.
+    `meant`: the value that the semantics computes."""
 
     number: int
     round: int
@@ -36,7 +39,7 @@ class Difference(NamedTuple):
 
 
 class Unreplayable(Exception):
-    """A trace cannot be replayed; `number` is the line, `why` the reason."""
+    """Raised if a trace cannot be replayed. `number` is the line, `why` the reason."""
 
     def __init__(self, number: int, why: str) -> None:
         super().__init__(f"line {number}: {why}")
@@ -47,16 +50,17 @@ class Unreplayable(Exception):
 class Counts:
     rounds: int = 0
     events: int = 0
-    violated: int = 0  # events and `init`s in which a loop invariant was false, by the semantics
-    late: int = 0  # events that exceeded their time budget, which no replay can judge
+    violated: int = 0  # number of events and `init`s in which, by the semantics, a loop invariant was false
+    late: int = 0  # number of events that exceeded their time budget, which no replay can check
 
 
 @dataclass
 class Replay:
     """Replay of one robot.
 
-    `externs` as in World. `followed` as in Trace: if the run executed a counterexample, any enabled event may have been
-    chosen, or none; for a "step", `init` is the first state of the counterexample."""
+    `externs`: the extern functions, as in `World`.
+    `followed`: "run" or "step" if the run executed a counterexample; otherwise empty. In such a run a robot may run any
+        enabled event, or none. For "step", the record of `init` contains the first state of the counterexample."""
 
     program: decl.Program
     externs: Mapping[str, Any]
@@ -71,15 +75,15 @@ class Replay:
         self._slots = {v.name for v in self.program.shared if v.kind == "allread"}
         self._own: dict[str, Value] = dict(self._first.robots[self.pid].locals)
         self._actuators: dict[str, Value] = {}
-        self._store: dict[str, Any] = {}  # the robot's copy of the store; allread variables by pid
+        self._store: dict[str, Any] = {}  # the robot's copy of the store; an allread variable is a dictionary by pid
         self._streams: list[tuple[str, str]] = []
         self._round = 0
-        self._begun = False  # whether its own variables are known
+        self._begun = False  # whether the values of the robot's own variables are known
         # Copy of the shared store that the robot saw, by its last record; allread variables by pid.
         self.saw: Mapping[str, Any] | None = None
 
     def line(self, line: TraceLine) -> Iterator[Difference]:
-        """Yield the differences in one record. Raises Unreplayable."""
+        """Replay one record, and yield the differences in it. Raises Unreplayable."""
         self.saw = None
         record = line.record
         try:
@@ -99,19 +103,21 @@ class Replay:
             raise Unreplayable(line.number, told) from None
 
     def end(self, number: int) -> Iterator[Difference]:
-        """Yield the differences at the end of the last round: streams that were not recorded."""
+        """Yield the differences at the end of the last round.
+
+        These are outputs of streams that the trace does not contain."""
         for port, text in self._streams:
             yield Difference(number, self._round, self.pid, port, None, text)
         self._streams = []
 
     def skip(self) -> None:
-        """Skip missing records: the robot's own variables in the next record are not compared."""
+        """Prepare for a gap in the records: the robot's own variables in the next record are not compared."""
         self._begun, self._streams = False, []
 
     def _checkpoint(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
-        """Begin another part.
+        """Continue with the next part of a trace, which begins with the values of the robot's own variables.
 
-        If the part before it was replayed, its own variables must have their last values."""
+        If the previous part was replayed to its end, these values must equal the last values in it."""
         self._store = {}
         if self._begun and record["round"] != self._round:
             self.skip()
@@ -124,7 +130,7 @@ class Replay:
             for name in {**known, **told}:
                 meant = plain(known[name]) if name in known else None
                 if name in known and told.get(name) == meant:
-                    continue  # keep the exact value, since null in the trace stands for any number that is not finite
+                    continue  # keep the computed value: null in the trace stands for any number that is not finite
                 if self._begun:
                     yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
                 known.update(self._values({name: told[name]} if name in told else {}))
@@ -143,7 +149,7 @@ class Replay:
         actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
         done = execute(self.program, self.program.init, state, self.pid, self._world(record))
         if isinstance(done, Discarded):
-            yield Difference(line.number, 0, self.pid, "init", "it ran", f"it is discarded: {done}")
+            yield Difference(line.number, 0, self.pid, "init", "it ran", f"init is discarded: {done}")
         else:
             meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
             yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
@@ -151,7 +157,7 @@ class Replay:
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """Return actuators that nobody wrote and that hold at a sensor which the program does not declare."""
+        """Return the actuators that no event wrote and that hold at an undeclared sensor."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
         return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 
@@ -190,7 +196,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
-        """Return the event that the robot must have chosen; a Step if its guard has no value."""
+        """Return the event that the robot must have chosen; None for no event.
+
+        If the guard of that event has no value, return the discarded step."""
         world, name = self._world(record), record.get("event")
         if not self.followed:
             return select(self.program, state, self.pid, world)
@@ -207,18 +215,19 @@ class Replay:
                 line.number, self._round, self.pid, f"event {record['event']}", "it counted", f"discarded: {done}"
             )
             return
-        # A local variable that was written with its old value is not in the record.
+        # The record omits a local variable that was written with the value that it already had.
         told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
         meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
         yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
         yield from self._loops(line, record, done)
         self._streams = list(done.streams)
-        for name, value in done.locals.items():  # keep exact values, since null stands for any that is not finite
+        # keep the computed value: null in the trace stands for any number that is not finite
+        for name, value in done.locals.items():
             if plain(value) == told[name]:
                 self._own[name] = value
 
     def _loops(self, line: TraceLine, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
-        """Compare the lines of the loop invariants that were false."""
+        """Compare the lines of the loop invariants that were false in the event."""
         told, meant = record.get("violated", []), [span.line for span in done.violated]
         self.counts.violated += bool(meant)
         if told != meant:
@@ -228,7 +237,9 @@ class Replay:
         self, line: TraceLine, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
         record: dict[str, Any],
     ) -> Iterator[Difference]:  # fmt: skip
-        """Check that a discarded event has no value. Only the robot's clock decides whether an event was late."""
+        """Check that a discarded event has no value by the semantics.
+
+        An event that was discarded because it was late is not checked: only the robot's clock decides this."""
         if fault.get("reason") == OVERRAN:
             self.counts.late += 1
             return
@@ -269,9 +280,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _state(self, line: TraceLine, record: dict[str, Any]) -> State:
-        """Return the state that this robot saw.
+        """Return the state that this robot read in the round.
 
-        Other robots' own variables are unknown, and no event reads them."""
+        The own variables of other robots are unknown, but no event reads them."""
         for shared in self.program.shared:
             known = self._store.get(shared.name)
             if known is None or (shared.kind == "allread" and len(known) < self.n_sys):
@@ -283,7 +294,7 @@ class Replay:
         return State(self._first.params, robots, Store(slots, cells), self._round)
 
     def _world(self, record: dict[str, Any]) -> World:
-        """Return a world in which callable ports give the recorded answers, in order; any other call fails."""
+        """Return a world in which callable ports give the recorded answers, in their order; other calls fail."""
         calls = [(port, args, answer) for port, args, answer in record.get("calls", [])]
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
@@ -291,7 +302,9 @@ class Replay:
             for k, (name, asked, found) in enumerate(calls):
                 if name == port and asked == given:
                     if any((n, a) == (port, asked) for n, a, _ in calls[k + 1 :]):
-                        del calls[k]  # the next equal call may have another answer
+                        # another recorded call has the same arguments, perhaps with another answer, so use this one
+                        # only once
+                        del calls[k]
                     return from_trace(found, self._types[port])
             raise LookupError(f"no recorded call of {port} has these arguments")
 

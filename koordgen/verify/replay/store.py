@@ -1,4 +1,4 @@
-"""Shared store round by round, computed from the writes that robots recorded."""
+"""Shared store after each round, computed from the writes that robots recorded."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from koordgen.lang.semantics.step import initial
 from koordgen.runtime.program.runner import NO_EVENT
 from koordgen.verify.replay.values import plain
 
-Shown = Mapping[str, Any]  # a store in JSON; an allread variable is a list by pid
+# name of a shared variable -> value in JSON; for an allread variable, a list with one value per pid
+Shown = Mapping[str, Any]
 
 
 class RecordedWrites:
     """Recorded writes of each round.
 
-    They are applied as agents do: first commits, then plain events by ascending pid."""
+    They are applied in the same order as on robots: first commits, then plain events by ascending pid."""
 
     def __init__(self, program: decl.Program, n_sys: int) -> None:
         self.slots = {v.name for v in program.shared if v.kind == "allread"}
@@ -31,14 +32,14 @@ class RecordedWrites:
             self._told.setdefault(int(record.get("round", 0)), []).append((plain_event, pid, record["shared"]))
 
     def first(self) -> Shown:
-        """Return the store before `init`."""
+        """Return the store before any `init`."""
         return {
             **{n: [plain(v) for v in held] for n, held in self._initial.slots.items()},
             **{n: plain(v) for n, v in self._initial.cells.items()},
         }
 
     def after(self, store: Shown, round_: int) -> Shown:
-        """Return the store after a round, given the store before it; round 0 is `init`."""
+        """Return the store after a round, given the store after the previous round. Round 0 is `init`."""
         writes = self._told.get(round_)
         if not writes:
             return store
@@ -54,6 +55,7 @@ class RecordedWrites:
 def had_frame(record: Mapping[str, Any]) -> bool:
     """Return whether a robot read its copy of the store in a round.
 
-    It does unless it skips the round before that."""
+    It did if it ran an event, if an event was discarded, or if no event was enabled. In all other cases the robot
+    skipped the round before it read the store."""
     looked = record.get("event") is not None or record.get("fault") is not None
     return looked or record.get("skipped") == NO_EVENT

@@ -1,4 +1,4 @@
-"""Traces for the replayer: a robot's own trace, or the merged trace of a run.
+"""Reader of traces for the replay: a robot's own trace, or the merged trace of a run.
 
 A robot's own trace may have several parts (koordgen/runtime/trace/parts.py). They are read as one trace.
 """
@@ -16,14 +16,14 @@ from koordgen.runtime.trace.parts import base_of, numbered
 from koordgen.runtime.trace.schema import MOST_ROBOTS, NO_HEADER, BadTrace, Upgrade, format_of
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 
-LONGEST = 8 << 20  # largest header in bytes
+LONGEST = 8 << 20  # largest size of a header, in bytes
 KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
 class TraceLine(NamedTuple):
-    """One record with its line number, from 1.
+    """One record with its line number, counted from 1.
 
-    In a trace of several parts the numbers continue through the parts."""
+    In a trace of several parts, the count continues from one part to the next."""
 
     number: int
     pid: int
@@ -32,12 +32,15 @@ class TraceLine(NamedTuple):
 
 @dataclass
 class TraceParts:
-    """One trace.
+    """One trace, which may have several parts.
 
-    `robots`: the fleet's names by pid; empty for robots whose names the header lacks. `own`: it belongs to the robot
-    `pid` alone. `followed`: "run" or "step" if the run executed a counterexample, else "". `older`: the parts before
-    the one at `path`, oldest first. `lines` reads the records. `cut`: line within which a file ends; 0 if none.
-    `since`: first round that is known if the oldest parts are missing."""
+    `path`: the last part.
+    `older`: the earlier parts, the oldest first.
+    `robots`: the robots' names by pid; empty for robots whose names the header does not contain.
+    `own`: whether the trace belongs to the robot `pid` alone.
+    `followed`: "run" or "step" if the run executed a counterexample; otherwise empty.
+    `cut`: the line within which a file ends; 0 if there is none.
+    `since`: the first round whose values are known; above 0 only if the oldest parts are missing."""
 
     path: Path
     app: str
@@ -49,15 +52,16 @@ class TraceParts:
     followed: str = ""
     older: tuple[Path, ...] = ()
     since: int = 0
-    begins: list[tuple[int, Path]] = field(default_factory=list)  # each part, with the number of lines before it
+    # for each part: the number of lines before it, and its file
+    begins: list[tuple[int, Path]] = field(default_factory=list)
 
     def place(self, number: int) -> str:
-        """Return the file of a line that was read, with the line's number in that file."""
+        """Return the position of a line as "FILE:LINE", where LINE counts within its own part."""
         before, path = next((each for each in reversed(self.begins) if each[0] < number), (0, self.path))
         return f"{path}:{number - before}"
 
     def lines(self) -> Iterator[TraceLine]:
-        """Yield the records that a replay needs, in their order. Raises BadTrace."""
+        """Yield the records that a replay needs, in the trace's order. Raises BadTrace."""
         last: dict[int, int] = {}  # pid -> last recorded round
         for number, record, data in records(self):
             if record.get("kind") not in KINDS:
@@ -88,7 +92,9 @@ def open_trace(path: Path) -> TraceParts:
     try:
         app, program_hash = str(header["app"]), str(header.get("program_hash", ""))
         if "counterexample" in header:
-            raise BadTrace(f"{path} is a counterexample's, not of a run: `koordgen sim --follow` lets agents run it")
+            raise BadTrace(
+                f"{path} is the trace of a counterexample, not of a run: `koordgen sim --follow` runs it with agents"
+            )
         followed = str(header.get("followed", ""))
         if "robots" in header:
             names = tuple(str(robot["name"]) for robot in header["robots"])
@@ -105,11 +111,11 @@ def open_trace(path: Path) -> TraceParts:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """Return the parts of a robot's trace that ends with the part at `path`, oldest first.
+    """Return the parts of a robot's trace up to the part at `path`, oldest first. Raises BadTrace.
 
-    A part without a header belongs to a robot that was killed while it started. If `path` is such a part, or is
-    missing, the newest older part replaces it. For any other file only `path` itself is returned. Raises BadTrace.
-    """
+    A part without a header belongs to a robot that was killed while it started. If `path` is such a part, or does not
+    exist, the newest part before it is used instead. If `path` is not a part of a robot's trace, only `path` itself is
+    returned."""
     try:
         base, number = base_of(path)
         older = [each for at, each in numbered(base) if number is None or at < number]
@@ -128,9 +134,9 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def header_of(path: Path) -> dict[str, Any] | None:
-    """Return the header of a trace in the present format; None if the file has none.
+    """Return the header of a trace, in the present format; None if the file has no header.
 
-    Raises OSError, and BadTrace if this version cannot read the format."""
+    Raises OSError, and BadTrace if this version of koordgen cannot read the format."""
     with path.open("rb") as file:
         line = file.readline(LONGEST)
     try:
@@ -153,7 +159,9 @@ def _is_unwritten(path: Path) -> bool:
 
 
 def records(trace: TraceParts) -> Iterator[tuple[int, dict[str, Any], bytes]]:
-    """Yield each record with the number of its line, and the line, in the present format. Raises BadTrace."""
+    """Yield each record of a trace: the number of its line, the record in the present format, the line.
+
+    Raises BadTrace."""
     trace.begins, number = [], 0
     for path in (*trace.older, trace.path):
         trace.begins.append((number, path))

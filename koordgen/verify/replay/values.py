@@ -1,4 +1,4 @@
-"""Conversion of values between traces, in JSON, and the executable semantics."""
+"""Conversion of values between traces, which are JSON, and the executable semantics."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
 
 
 class BadValue(Exception):
-    """A value in a trace is not of its type."""
+    """Raised if a value in a trace does not have its variable's type."""
 
 
-Number = Callable[[Any], float]  # raises ValueError, TypeError
+Number = Callable[[Any], float]  # converts data to a float; raises ValueError or TypeError
 
 
 def from_trace(data: Any, type_: Type, number: Number = float) -> Value:
-    """Convert a value from a trace, whose floats `number` reads.
+    """Convert a value from a trace. The function `number` reads floats. Raises BadValue.
 
-    Null stands for a number that is not finite, and becomes NaN. Raises BadValue."""
+    Null in a trace stands for any number that is not finite. It becomes NaN."""
     try:
         return _from_trace(data, type_, number)
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError):
-        raise BadValue(f"{data!r} is no {type_}") from None
+        raise BadValue(f"{data!r} is not of type {type_}") from None
 
 
 def _from_trace(data: Any, type_: Type, number: Number) -> Value:
@@ -99,7 +99,7 @@ def _point(data: Any, number: Number) -> Point:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to its form in a trace."""
+    """Convert a value of the semantics to its form in a trace."""
     match value:
         case float():
             return value if math.isfinite(value) else None

@@ -134,7 +134,7 @@ def test_a_file_of_others_is_begun_anew(kept: Kept, program: Program, robot: str
     assert store.load() == Loaded()
     store.close()
     assert len(kept.warned) == 1
-    assert words in kept.warned[0] and "begun anew" in kept.warned[0] and str(kept.path) in kept.warned[0]
+    assert words in kept.warned[0] and "is erased" in kept.warned[0] and str(kept.path) in kept.warned[0]
     assert kept.found() == Loaded(), "and the old records do not come back with their owner"
 
 
@@ -232,7 +232,7 @@ def test_a_robot_whose_votes_are_damaged_does_not_come_back(kept: Kept, which: s
     kept.path.write_bytes(data)
     assert kept.found() == Loaded()
     (warning,) = kept.warned
-    assert "is damaged" in warning and "does not come back to that mission" in warning and str(kept.path) in warning
+    assert "is damaged" in warning and "cannot rejoin that mission" in warning and str(kept.path) in warning
     assert kept.found() == Loaded() and len(kept.warned) == 1, "it is said once"
 
 
@@ -282,7 +282,7 @@ BIG = replace(PROGRAM, locals=(Variable("data", "local", Opaque, Blob(10_000, "D
 
 def test_a_full_disk_is_told_before_anything_moves(full_disk: Path) -> None:
     path = full_disk / "alice.state"
-    with pytest.raises(CannotOpen, match=r"No space left on device; it takes 100 KiB; make room"):
+    with pytest.raises(CannotOpen, match=r"No space left on device; it takes 100 KiB; free disk space"):
         CheckpointFile.open(path, BIG, "alice", 0, 3, pytest.fail)
     assert not path.exists(), "nor is room taken for nothing"
     store = CheckpointFile.open(path, PROGRAM, "alice", 0, 3, pytest.fail)
@@ -318,7 +318,7 @@ def test_a_disk_that_goes_away_leaves_no_old_state(kept: Kept, monkeypatch: pyte
     assert not store.write(locals_of(22))
     monkeypatch.undo()
     assert not store.write(locals_of(23)) and not store.keeps
-    assert len(kept.warned) == 1 and "Input/output error" in kept.warned[0] and "cannot come back" in kept.warned[0]
+    assert len(kept.warned) == 1 and "Input/output error" in kept.warned[0] and "cannot rejoin" in kept.warned[0]
     assert kept.found() == Loaded()
 
 

@@ -81,7 +81,7 @@ def test_a_trace_that_is_cut_off_is_followed_as_far_as_it_goes(tmp_path: Path) -
     done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), trace, out="again")
     assert done.status == 0 and done.said.endswith("cx.jsonl:8: the trace is cut off here"), done
     trace.write_text("".join(lines[:1]))
-    assert "it contains no complete step" in refused(tmp_path, trace)
+    assert "the trace contains no complete step" in refused(tmp_path, trace)
 
 
 def test_what_was_changed_by_hand(tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def test_a_contradiction_is_repeated_from_its_file(
     assert main(["prove", "app.koord", "--attack-from", name]) == 70
     shown = capsys.readouterr().out
     assert "a[0] = 7" in shown and "Go of robot 0" in shown
-    assert "false then: a[i] == 0, i = 0" in shown
+    assert "false afterwards: a[i] == 0, i = 0" in shown
     assert "UNSOUND: Q: it is false, after Go of robot 0, in a fleet of 1" in shown
 
 
@@ -153,7 +153,7 @@ def test_a_file_of_another_program_is_refused(folder: Path, forged: None, capsys
     name = contradicted(folder, capsys)
     assert main(["prove", written(RIGHT), "--attack-from", name]) == 1
     said = capsys.readouterr().err
-    assert "it was written for another program" in said and "help: name the very program" in said
+    assert "the file was written for another program" in said and "help: name exactly the program" in said
 
 
 def test_a_trial_that_contradicts_nothing_says_so(

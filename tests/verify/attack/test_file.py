@@ -97,7 +97,7 @@ def test_numbers_are_exact_texts() -> None:
 
 
 CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
-    "another format": (lambda d: d.update(format="koord-trace/1"), "its format is not koord-unsound/1"),
+    "another format": (lambda d: d.update(format="koord-trace/1"), "the file's format is not koord-unsound/1"),
     "another program": (lambda d: d.update(program="f" * 16), "another program"),
     "no program": (lambda d: d.pop("program"), "the file lacks"),
     "an unknown key": (lambda d: d.update(run="rm"), "the file has an unknown"),
@@ -191,5 +191,5 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
     given = read_trial(TEXT.encode(), program, HASH)
-    with pytest.raises(UnusableStep, match=r"no known answer of Motion\.planner"):
+    with pytest.raises(UnusableStep, match=r"allow no known answer of Motion\.planner"):
         TrialJudge(program, given.proved, lambda *_: ()).replay(given.trial)

@@ -178,7 +178,7 @@ def test_a_trial_is_run_step_by_step() -> None:
 @pytest.mark.parametrize(
     ("state", "acts", "said"),
     [
-        (begun(0), [Act("Up", 0)], "its first state violates Q"),
+        (begun(0), [Act("Up", 0)], "the first state of the trial violates Q"),
         (launched(-1), [Act(INIT)], "violates a formula of `initially`"),
         (launched(), [Act("Up", 0)], "`init` must be the first step"),
         (begun(1), [Act(INIT)], "`init` must be the first step"),

@@ -189,7 +189,7 @@ def test_the_assumption_that_broke_is_named(tmp_path: Path, capsys: pytest.Captu
     status, told = text_of(capsys, home, "--prove")
     flat = " ".join(told.split())
     assert status == 3 and "the proof of Fence rests on `assume Motion` (line 4), which broke at " in flat
-    assert f"round {motion['first']['round']} from its start to its end" in flat and "by robot cleo" in flat
+    assert f"round {motion['first']['round']} from the round's start to its end" in flat and "by robot cleo" in flat
 
 
 def test_without_a_broken_assumption_it_is_the_tools_mistake_where_it_is_proved(

@@ -55,7 +55,7 @@ def test_a_bound_tells_how_far_it_came(capsys: pytest.CaptureFixture[str]) -> No
     election = str(EXAMPLES / "election/election.koord")
     status, text = told(capsys, election, "--robots", "5", "--states", "30", "--no-symmetry")
     assert status == 4 and "INCONCLUSIVE explored to depth 0;" in text
-    assert "ended by: the bound of 30 states; nothing found so far" in text
+    assert "ended by: the bound of 30 states; no violation found so far" in text
 
 
 def test_a_port_that_needs_values_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,7 +101,7 @@ def test_assumptions_that_leave_no_value_are_no_proof(folder: Path, capsys: pyte
 
 
 @pytest.mark.parametrize("body, status, wanted", [
-    (None, 1, "extern_functions.py, which has the extern functions, is not there"),
+    (None, 1, "extern_functions.py, the file with the extern functions, does not exist"),
     ("def half(n):\n    return n +\n", 1, "extern_functions.py cannot be imported: SyntaxError"),
     ("import nowhere_at_all\n", 1, "cannot be imported: ModuleNotFoundError"),
     ("def other(n):\n    return n\n", 1, "extern_functions.py lacks half, which the program declares as extern"),

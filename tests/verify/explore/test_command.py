@@ -99,7 +99,7 @@ def test_an_order_that_agents_do_not_have_is_said(tmp_path: Path, capsys: pytest
     found = explored(path, 2, "last != 1 or done.count(True) < 2", capsys)
     assert found["order_of_agents"] is False and found["rounds"] == 1
     assert main(["explore", str(path), "--robots", "2"]) == 3
-    assert "the agents' order cannot do this run" in " ".join(capsys.readouterr().out.split())
+    assert "robots' agents cannot execute this run" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("more", [(), ("--no-independence",), ("--no-symmetry", "--no-forgetting"), ("--seconds=100",)])
@@ -112,4 +112,4 @@ def test_of_runs_of_equally_many_rounds_one_that_agents_can_do_is_shown(
     assert found["order_of_agents"] is True and found["rounds"] == 1
     assert [step["robot"] for step in found["run"] if step["event"] == "Tell"] == [1, 2]
     assert main(["explore", str(tmp_path / "app.koord"), *more]) == 3
-    assert "the agents' order can do this run" in capsys.readouterr().out
+    assert "robots' agents can execute this run" in capsys.readouterr().out

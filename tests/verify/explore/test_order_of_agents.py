@@ -63,24 +63,27 @@ def explore(tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str], *more
 def test_a_run_of_a_hidden_event_is_none_of_agents(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found, told = explore(tmp_path, HIDDEN, capsys)
     assert found["order_of_agents"] is False and found["rounds"] == 2
-    assert "the agents' order cannot do this run" in told
+    assert "robots' agents cannot execute this run" in told
     proved, told = prove(tmp_path, HIDDEN, capsys)
     assert proved["order_of_agents"] is False
-    assert "the agents' order cannot do this run" in told
+    assert "robots' agents cannot execute this run" in told
 
 
 def test_a_run_of_first_events_is_one_of_agents(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = HIDDEN.replace("not late[i]", "a[i] < 2")
     found, told = explore(tmp_path, text, capsys)
-    assert found["order_of_agents"] is True and "the agents' order can do this run" in told
+    assert found["order_of_agents"] is True and "robots' agents can execute this run" in told
     proved, told = prove(tmp_path, text, capsys)
-    assert proved["order_of_agents"] is True and "the agents' order can do this run" in told
+    assert proved["order_of_agents"] is True and "robots' agents can execute this run" in told
 
 
 def test_agents_need_a_round_for_each_commit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found, told = explore(tmp_path, COMMITS, capsys)
     assert (found["order_of_agents"], found["rounds"], found["shortest"]) == (True, 2, 1)
-    assert "Few is violated after 2 rounds; the language allows it after 1, in an order that agents do not have" in told
+    assert (
+        "Few is violated after 2 rounds; the language allows it after 1, in an order of events that agents never use"
+        in told
+    )
 
 
 @pytest.mark.parametrize(("guard", "can"), [("xs[0] == 1", False), ("len(xs) == 1", True)])

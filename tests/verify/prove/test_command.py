@@ -73,7 +73,7 @@ def test_a_counterexample(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     shown = told(capsys)
     assert shown.startswith("app.koord, for every number of robots\n\nNOT INDUCTIVE  Geofence  (3 obligations, T)\n")
     assert "a step of the environment, from a state in which all invariants hold" in shown
-    assert "false then: Motion.position[i] in Rect(lo, hi), i = 0  (app.koord:23)" in shown
+    assert "false afterwards: Motion.position[i] in Rect(lo, hi), i = 0  (app.koord:23)" in shown
     assert "N_SYS = 1  lo = (0, 0, 0)  hi = (9, 9, 3)" in shown
     assert "add `forall i in ID: Motion.target[i] in Rect(lo, hi)` to Geofence: then it is PROVED" in shown
     changed = [line for line in shown.splitlines() if line.endswith(" *")]
@@ -86,7 +86,7 @@ def test_a_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shown = told(capsys)
     assert "FALSIFIED      Below" in shown and "PROVED         Small" in shown
     assert "Up of robot 0" in shown and "third[0] = 1/3" in shown, "thirds are told exactly"
-    assert "false then: n[i] < 3, i = 0  (app.koord:11)" in shown
+    assert "false afterwards: n[i] < 3, i = 0  (app.koord:11)" in shown
 
 
 def test_json(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

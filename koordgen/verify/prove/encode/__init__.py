@@ -1,6 +1,7 @@
-"""Encoding: the IR as terms of SMT.
+"""Encoding of the IR as SMT terms.
 
-Owns: expressions, statements, loops, functions, collections and geometry as terms. Each approximation is marked SOUND.
+Owns: expressions, statements, loops, functions, collections and geometry as terms. A comment with SOUND marks each
+approximation and says why proofs stay sound.
 Offers: `expr.Encoder`, `stmt.SymbolicFrame`.
 Must not import: `obligations`, `report`.
 """

@@ -1,4 +1,8 @@
-"""Builtins as terms: exact if the logic has them, else uninterpreted functions with some facts."""
+"""Builtin functions of Koord as SMT terms.
+
+A builtin that the logic can express becomes its definition. Any other becomes an uninterpreted function, about which
+some facts are added.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +66,7 @@ def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of a nonempty collection", line)
             return _end(e, xs, name == "first")
         case "index":
-            e.context.demand(e.lists.has(path_of(args[0]), args[1]), "the item is in the list", line)
+            e.context.demand(e.lists.has(path_of(args[0]), args[1]), "the item of `index` is in the list", line)
             return e.lists.place(path_of(args[0]), args[1])
         case "sum" if isinstance(args[0], FleetValue):
             zero = _ZERO if node.type is INT else t.real(0)
@@ -86,15 +90,15 @@ def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
 
 
 def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """# SOUND: an uninterpreted function.
+    """# SOUND: encode a builtin as an uninterpreted function of its arguments.
 
-    Nothing is assumed of it but that equal arguments give equal results."""
+    The only fact assumed about such a function is that equal arguments give equal results."""
     if node.name in ("asin", "acos", "log"):
         x, one = as_term(args[0]), t.real(1)
         inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
         e.context.demand(inside, f"{node.name} within its domain", node.span.line)
     elif node.name in ("tan", "exp", "cell"):
-        e.context.note(f"{node.name}: any value; that it has one is not shown")
+        e.context.note(f"{node.name}: its result may be any value; the proof does not show that it has one")
     return e.apply(node.name, f"{node.name}@", args, node.type)
 
 
@@ -143,7 +147,7 @@ def _whole(name: str, x: Term) -> Term:
         return t.to_int(x)
     if name == "ceil":
         return t.negate(t.to_int(t.negate(x)))
-    below = t.to_int(x)  # halves are rounded to the even neighbour, as in Python
+    below = t.to_int(x)  # Python rounds halves to the even neighbour, so the encoding does, too.
     part = t.subtract(x, t.to_real(below))
     half = t.real(0.5)
     even = t.equals(t.remainder(below, t.integer(2)), _ZERO)
@@ -170,7 +174,7 @@ def _center(cell: Val) -> Val:
 def _length(e: ExprEncoder, node: ir.Builtin, xs: Val) -> Term:
     if isinstance(node.args[0].type, Sized):
         found = as_term(e.context.function("string.len", (as_term(xs),), INT))
-        e.context.fact(t.at_most(_ZERO, found), "no length is negative", node.span.line)
+        e.context.fact(t.at_most(_ZERO, found), "a string's length is not negative", node.span.line)
         return found
     return e.lists.length(path_of(xs))
 
@@ -185,7 +189,8 @@ def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     return pick(held, e.lists.value(xs, key), args[2])
 
 
-# Sums over all robots. If one robot's value changed, the sum is the old sum minus the old value plus the new one.
+# Sums over all robots. If one robot's value changed, the new sum is the old sum minus the robot's old value plus its
+# new value.
 
 
 def sum_over_robots(
@@ -193,9 +198,11 @@ def sum_over_robots(
 ) -> Term:
     """Return the sum of `part` over all robots.
 
-    For any number of robots it is a function of the fleet with these facts: it is zero if all parts are zero, not
-    negative if no part is, at most N_SYS if no part is above one, at least N_SYS if no part is below one. A count is
-    that of the other robots plus this robot's."""
+    If the number of robots is unknown, the sum is an uninterpreted function of the fleet's values with these facts:
+
+    - The sum is zero if all parts are zero, and not negative if no part is negative.
+    - The sum is at most N_SYS if no part is above one, and at least N_SYS if no part is below one.
+    - Each robot's count is its own part plus the count of all other robots, which is at least 0 and below N_SYS."""
     context = e.context
     found: Term = zero
     if context.robots is not None:

@@ -1,6 +1,7 @@
-"""Proof context: facts, demands and universal formulas, gathered while a part is encoded.
+"""Proof context: facts, demands and universal formulas, gathered while a part of a program is encoded.
 
-A symbol has the name of the program's thing. A symbol for anything else contains an `@`, so that names never collide.
+The symbol of a variable has the variable's name in the program. Every other symbol contains an `@`, which no name in a
+program can contain, so symbols never collide.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Sort, Term
 
-# Names that SMT-LIB defines itself, quoted or not.
+# Names that SMT-LIB itself defines. A program's variable of such a name needs another symbol.
 _RESERVED = frozenset(
     (
         *(
@@ -39,11 +40,12 @@ _RESERVED = frozenset(
     )
 )
 _ZERO = t.integer(0)
-GENERATIONS = 1  # passes of instantiation whose new robots are instantiated in turn
+# Limit of the passes of `instantiate` after which terms from new instances are no longer instantiated in turn.
+GENERATIONS = 1
 
 
 def symbol(name: str) -> str:
-    """Return the symbol for a name of the program."""
+    """Return the symbol for a name of the program: the name itself, or with an `@` if SMT-LIB reserves it."""
     return f"{name}@" if name in _RESERVED else name
 
 
@@ -54,10 +56,14 @@ def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[FunctionSymb
 
 
 class Universal:
-    """A formula that holds for every int of a domain.
+    """Universal formula: a formula that holds for every int of a domain.
 
-    `instance` returns it for one int, with the domain's bounds. `robots`, `places`: whether the ints are robots, places
-    in lists, or both. `inner`: it arose in an instance of another universal."""
+    `instance`: returns the formula for one int, including the condition that the int is in the domain.
+    `robots`: whether the ints may be pids of robots.
+    `places`: whether the ints may be positions in lists.
+    `inner`: whether the formula arose in an instance of another universal formula.
+    `known_from`: the position in the event from which on the formula is known.
+    `done`: the terms at which the formula was instantiated."""
 
     def __init__(
         self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int,
@@ -71,64 +77,73 @@ class Universal:
 class ProofContext:
     """Proof context of one part of a program.
 
-    `robots`: the number of robots, None for any number >= 1; `size`: its term. If `unrolled`, universals are
-    instantiated at each number of a robot, not at terms that name robots."""
+    `robots`: the number of robots if robots are named by numbers (`unrolled`); None otherwise.
+    `size`: the term of N_SYS; a literal if the number of robots is known. If `unrolled`, universal formulas over robots
+        are instantiated at each robot's number, otherwise at the terms that name robots."""
 
     def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
         self.program, self.robots = program, robots if unrolled else None
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
         self.facts: list[LabelledFormula] = []
-        self.seen: dict[Term, int] = {}  # a fact's term -> the least position at which it is known
-        self.demands: list[LabelledFormula] = []  # conditions under which every operation has a value
+        self.seen: dict[Term, int] = {}  # term of a fact -> the least position from which on the fact is known
+        self.demands: list[LabelledFormula] = []  # conditions under which all operations encoded so far have values
         self.notes: dict[str, None] = {}
         self.path: tuple[Term, ...] = ()
         self.indices: dict[Term, bool] = {}  # terms that may name robots -> whether each is known to name one
-        self.witnesses: dict[Term, None] = {}  # those of `indices` that are witnesses, and those from instances
-        self.ignored: set[Term] = set()  # terms at which no universal need be instantiated
-        self.places: dict[Term, None] = {}  # terms that are places in lists
+        # the terms of `indices` that are witnesses or come from instances of universal formulas
+        self.witnesses: dict[Term, None] = {}
+        self.ignored: set[Term] = set()  # terms at which universal formulas are never instantiated
+        self.places: dict[Term, None] = {}  # terms that denote positions in lists
         self.universals: list[Universal] = []
-        self.own: Term | None = None  # acting robot
-        self.others: set[Term] = set()  # terms that name no robot, or a robot other than the acting one
-        self.known: dict[Term, Term] = {}  # values that the guard gives to single variables
+        self.own: Term | None = None  # pid of the robot that runs the event
+        self.others: set[Term] = set()  # terms that do not denote the acting robot: they denote another robot, or none
+        self.known: dict[Term, Term] = {}  # application of a symbol -> the value that the event's guard gives it
         self.instantiating = False
         self.passes = 0
-        self.position = 0  # number of loop heads and loop ends that are encoded so far
-        self.known_from = 0  # position of the facts that are being gathered
-        self.absent: dict[tuple[object, ...], Term] = {}  # item -> that no robot has it
-        self.granted: set[Term] = set()  # ints that name robots within the current quantifier
-        self.folds: set[Term] = set()  # sums over all robots whose facts are added
-        self.texts: dict[str, Term] = {}  # string literals
+        self.position = 0  # number of loop heads and loop ends encoded so far in this event
+        self.known_from = 0  # position from which on newly added facts are known
+        self.absent: dict[tuple[object, ...], Term] = {}  # item -> the term "no robot has this item"
+        # int terms that the current quantifier ranges over, so that each is a robot's pid
+        self.granted: set[Term] = set()
+        self.folds: set[Term] = set()  # sums over all robots about which facts were added already
+        self.texts: dict[str, Term] = {}  # text of a string literal -> its constant
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
-        self.label, self.line = "", 0  # label and line of the next facts
+        self.label, self.line = "", 0  # label and line for the facts that are added next
         if robots is None:
-            self.fact(t.at_most(t.integer(1), self.size), "there is a robot", 0)
+            self.fact(t.at_most(t.integer(1), self.size), "the fleet has at least one robot", 0)
         if robots is not None and unrolled:
             self.indices = {t.integer(i): True for i in range(robots)}
 
-    # Facts
+    # Facts and demands
 
     def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
-        """Add a formula that holds in every model, known from the position `known_from` on."""
+        """Add a formula that holds in every model, known from the position `known_from` on.
+
+        A goal uses only facts that are known at the goal's own position."""
         if formula is not t.TRUE and self.known_from < self.seen.get(formula, 1 << 30):
             self.seen[formula] = self.known_from
             found = LabelledFormula(label or self.label, formula, self.program.path, line or self.line, self.known_from)
             self.facts.append(found)
 
     def fact_if_reached(self, formula: Term, label: str = "", line: int = 0) -> None:
-        """Add a formula that holds if this place is reached, known from this position on."""
+        """Add a formula that holds if a run reaches the current program point.
+
+        The fact is known from the current position in the event on."""
         with self.known_at(self.position):
             self.fact(t.implies(self.reached(), formula), label, line)
 
     def reached(self) -> Term:
-        """Return that this place is reached: its path is taken, and every operation before it has a value.
+        """Return the condition that a run reaches the current program point.
 
-        Without the second condition, a fact of this place could prove that an operation before it has a value."""
+        The run must take the path to this point, and every operation before it must have a value. Without the second
+        condition, a fact at this point could prove that an earlier operation has a value, which would be circular."""
         return t.all_of([*self.path, *[demand.term for demand in self.demands]])
 
     def demand(self, formula: Term, label: str, line: int) -> None:
-        """Demand a condition under which an operation of this place has a value. Without a value the event is
-        discarded."""
+        """Demand a condition under which an operation at the current program point has a value.
+
+        If an operation has no value, the semantics discards the whole event."""
         if formula is not t.TRUE:
             self.demands.append(
                 LabelledFormula(label, t.implies(t.all_of(self.path), formula), self.program.path, line)
@@ -136,7 +151,7 @@ class ProofContext:
 
     @contextmanager
     def known_at(self, position: int) -> Iterator[None]:
-        """Let the facts that are added within be known from this position of the event on."""
+        """Within this block, record new facts as known from this position of the event on."""
         kept, self.known_from = self.known_from, position
         try:
             yield
@@ -145,7 +160,7 @@ class ProofContext:
 
     @contextmanager
     def outermost(self) -> Iterator[None]:
-        """Encode something that does not depend on the current place."""
+        """Within this block, encode with an empty path condition, for terms that hold at every program point."""
         kept, self.path = self.path, ()
         try:
             yield
@@ -154,7 +169,7 @@ class ProofContext:
 
     @contextmanager
     def under(self, *conditions: Term) -> Iterator[None]:
-        """Extend the path by conditions: the places within are reached only if these hold, too."""
+        """Within this block, extend the path condition by `conditions`."""
         kept, self.path = self.path, (*self.path, *conditions)
         try:
             yield
@@ -163,7 +178,7 @@ class ProofContext:
 
     @contextmanager
     def grant(self, robot: object) -> Iterator[None]:
-        """Treat an int as the name of a robot within this block."""
+        """Within this block, treat an int as the pid of a robot, without a demand that it is one."""
         new = isinstance(robot, (LiteralTerm, Apply, Op)) and robot not in self.granted
         if new:
             self.granted.add(robot)  # type: ignore[arg-type]
@@ -183,7 +198,7 @@ class ProofContext:
 
     @contextmanager
     def separate_demands(self) -> Iterator[list[LabelledFormula]]:
-        """Collect the demands that arise within in a list of their own."""
+        """Within this block, collect new demands in a separate list."""
         kept, self.demands = self.demands, []
         try:
             yield self.demands
@@ -196,18 +211,18 @@ class ProofContext:
     # Symbols
 
     def new(self, hint: str, sort: Sort) -> Term:
-        """Return a new constant, of which nothing is known."""
+        """Return a new constant about which no fact is known."""
         self.fresh += 1
         return t.constant(f"{hint}@{self.fresh}", sort)
 
     def any(self, hint: str, type_: Type) -> Val:
-        """Return a new value of a type, of which nothing is known."""
+        """Return a new value of a type, about which no fact is known."""
         self.fresh += 1
         number = self.fresh
         return build(type_, iter([t.constant(f"{hint}{suffix}@{number}", sort) for suffix, sort in shape(type_)]))
 
     def function(self, name: str, args: tuple[Term, ...], type_: Type) -> Val:
-        """Return a value of a type that is a function of terms, and of nothing else."""
+        """Return a value of a type that depends on the terms `args` only."""
         return self.applied(symbols(name, args, type_), args, type_)
 
     def applied(self, functions: list[FunctionSymbol], args: tuple[Term, ...], type_: Type) -> Val:
@@ -217,7 +232,7 @@ class ProofContext:
         return build(type_, iter(leaves))
 
     def learn(self, formula: Term) -> None:
-        """Replace single variables, from now on, by the values that a formula gives them."""
+        """Replace variables by the values that a formula gives them, in all terms that are built from now on."""
         for part in formula.args if isinstance(formula, Op) and formula.name == "and" else (formula,):
             match part:
                 case Apply():
@@ -230,38 +245,44 @@ class ProofContext:
                     pass
 
     def version(self, value: Val) -> int:
-        """Return a number for a value, which the context keeps alive. Different values have different numbers."""
+        """Return a number that identifies a value: different values have different numbers.
+
+        The context keeps the value alive, so that Python does not reuse its id."""
         return self.versions.setdefault(id(value), (len(self.versions), value))[0]
 
     # Robots
 
     def within(self, index: Term) -> Term:
-        """Return that a term names a robot."""
+        """Return the term "`index` is the pid of a robot"."""
         return t.and_(t.at_most(_ZERO, index), t.less(index, self.size))
 
     def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
-        """Instantiate universals over robots at this term."""
+        """Register a term at which universal formulas over robots are instantiated.
+
+        `known`: the term certainly is the pid of a robot."""
         if self.robots is None and index not in self.ignored and (known or index not in self.indices):
             if self.instantiating and self.passes > GENERATIONS:
-                return  # instances would bring forth new instances without end
+                return  # without this limit, instances would create new terms and those new instances, without end
             self.indices[index] = known
             if witness or self.instantiating:
                 self.witnesses[index] = None
 
     def element(self, place: Term, robots: bool, places: bool) -> None:
-        """Instantiate universals over the elements of a domain at this place."""
+        """Register a term at which universal formulas over robots or over list positions are instantiated."""
         if robots:
             self.robot(place, witness=True)
         if places and not (self.instantiating and self.passes > GENERATIONS):
             self.places[place] = None
 
     def acting(self, name: str) -> Term:
-        """Introduce the acting robot."""
+        """Introduce the acting robot, and return its pid."""
         self.own = self.some_robot(name)
         return self.own
 
     def another(self, name: str) -> Term:
-        """Return a term for any robot but the acting one; it names no robot if there is no other."""
+        """Return the pid of an arbitrary robot other than the acting one.
+
+        If the fleet has no other robot, the term is the pid of no robot."""
         assert self.own is not None
         index = t.constant(name, t.INT)
         self.fact(t.not_(t.equals(index, self.own)), "another robot")
@@ -270,11 +291,11 @@ class ProofContext:
         return index
 
     def same(self, robot: Term, own: Term) -> Term:
-        """Return whether a robot is the robot `own`."""
+        """Return the term "`robot` is the same robot as `own`"."""
         return t.FALSE if own is self.own and robot in self.others else t.equals(robot, own)
 
     def some_robot(self, name: str) -> Term:
-        """Return a term for any one robot."""
+        """Return the pid of an arbitrary robot."""
         index = t.constant(name, t.INT)
         self.fact(self.within(index), "a robot")
         self.robot(index, known=True)
@@ -283,15 +304,16 @@ class ProofContext:
     def for_all(
         self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False, inner: bool = False
     ) -> None:
-        """Add a formula about all ints. `instance` includes the domain's bounds."""
+        """Add a universal formula. `instance` returns it for one int, with the domain's bounds as a condition."""
         inner = inner or self.instantiating
         known_from = self.known_from
         self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
 
     def instantiate(self) -> None:
-        """Instantiate universals at every term that names a robot or a place, until nothing is new.
+        """Instantiate universal formulas at every registered term, until no new term or formula appears.
 
-        Inner universals are not instantiated at witnesses: there would be too many pairs of robots."""
+        Universal formulas inside other universal formulas are not instantiated at witnesses: the pairs of robots would
+        be too many for the solver."""
         self.instantiating = True
         while True:
             self.passes += 1

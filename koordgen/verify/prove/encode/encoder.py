@@ -1,4 +1,8 @@
-"""Interfaces of the expression encoder: the scope of names, and the encoder as its parts see it."""
+"""Interfaces of the expression encoder.
+
+`Scope` gives values to the names in an expression. `ExprEncoder` is the encoder as the modules for builtins, sums and
+quantifiers call it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class Scope(Protocol):
-    """Values of names at one place of the program."""
+    """Values of the variables, ports and names that an expression can read at one program point."""
 
     pid: Term
     temps: dict[str, Val]
@@ -30,9 +34,9 @@ class Scope(Protocol):
 
 
 class ExprEncoder(Protocol):
-    """Encoder of expressions, as builtins, sums and quantifiers call it.
+    """Encoder of expressions, as the modules for builtins, sums and quantifiers call it.
 
-    `strict`: a quantifier demands that its instances have values."""
+    `strict`: whether a quantifier demands that all its instances have values."""
 
     context: ProofContext
     lists: Lists

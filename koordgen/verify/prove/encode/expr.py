@@ -1,6 +1,6 @@
-"""Expressions as terms.
+"""Koord expressions as SMT terms.
 
-Reads go through the scope. Conditions under which an expression has a value are demands.
+The values of variables come from a `Scope`. Each condition under which an expression has a value becomes a demand.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE, _HALF = t.integer(0), t.integer(1), t.real(0.5)
-_EXPANDED = 8  # longest list whose elements are enumerated by their places
+_EXPANDED = 8  # longest list whose elements are encoded one by one
 
 
 Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
 
 
 class Encoder:
-    """Encoder of expressions in one context.
+    """Encoder of expressions in one proof context.
 
-    `call` applies a `fun`, an extern function or a spec function."""
+    `params`: the values of the program's params.
+    `call`: encodes a call of a `fun`, an extern function or a spec function."""
 
     def __init__(
         self, context: ProofContext, params: dict[str, Val], call: Callable[[str, tuple[Val, ...], ir.Expr], Val]
@@ -48,9 +49,10 @@ class Encoder:
         self.context, self.params, self.call = context, params, call
         self.lists = Lists(context)
         self.geometry = Geometry(context, self.lists)
-        # Function -> arguments of its calls: axioms about all values are instantiated at these.
+        # Function -> arguments of its calls. Axioms, which hold for all values, are instantiated at these arguments.
         self.calls: dict[str, list[tuple[Val, ...]]] = {}
-        # Whether a quantifier demands that its instances have values. In assumed formulas it does not: they have.
+        # Whether a quantifier demands that all its instances have values. False for formulas that are assumed: these
+        # have values.
         self.strict = False
         self.called_on: set[tuple[object, ...]] = set()
 
@@ -62,7 +64,9 @@ class Encoder:
         return as_term(self.value(node, scope))
 
     def apply(self, name: str, symbol: str, args: tuple[Val, ...], type_: Type) -> Val:
-        """Encode a call that only contracts and axioms constrain: a function of its arguments."""
+        """Encode a call of a function about which only contracts and axioms are known.
+
+        The call becomes an uninterpreted function of the arguments."""
         leaves = tuple([leaf for arg in args for leaf in self.lists.leaves(arg)])
         if (name, leaves) not in self.called_on:
             self.called_on.add((name, leaves))
@@ -81,13 +85,13 @@ class Encoder:
         return self.text(node.value, node.type)
 
     def text(self, text: str, type_: Type) -> Val:
-        """Encode a text as a constant that differs from those of all other literals."""
+        """Encode a string literal as a constant that differs from the constants of all other literals."""
         texts = self.context.texts
         if text not in texts:
             shown = "".join([c if c.isalnum() else "_" for c in text if c.isascii()])
             found = as_term(self.context.function(f"text@{len(texts)}@{shown}", (), type_))
             for other in texts.values():
-                self.context.fact(t.not_(t.equals(other, found)), "texts differ", 0)
+                self.context.fact(t.not_(t.equals(other, found)), "string literals differ", 0)
             texts[text] = found
         return texts[text]
 
@@ -130,7 +134,7 @@ class Encoder:
     def robot(self, node: ir.Expr, scope: Scope) -> Term:
         index = self.term(node, scope)
         if not self.context.indices.get(index, False) and index not in self.context.granted:
-            self.context.demand(self.context.within(index), "index of a robot", node.span.line)
+            self.context.demand(self.context.within(index), "the index is a robot's pid", node.span.line)
             self.context.robot(index)
         return index
 
@@ -176,12 +180,12 @@ class Encoder:
                 return _number(node.op, as_term(left), as_term(right))
 
     def by_unknown(self, op: str, a: Term, b: Term) -> Term:
-        """Encode quotient and remainder by a divisor that is no literal as functions.
+        """Encode `//` or `%` by a divisor that is not a literal, as an uninterpreted function with facts.
 
-        SOUND: the facts about them are exact for dividends below twice the divisor, as steps around a ring need;
-        beyond, only the bounds are known."""
+        SOUND: for a positive divisor d, the facts determine the result for dividends from 0 to 2 d - 1, which suffices
+        for steps around a ring. For all other dividends they give bounds of the remainder only."""
         self.context.note(
-            "// and % by a divisor that is no literal: exact below twice the divisor; beyond that only the bounds"
+            "// and % by a divisor that is no literal: exact for 0 <= dividend < 2 * divisor; otherwise only bounds"
         )
         quotient, rest = (t.apply(t.FunctionSymbol(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
         positive, negative = t.less(_ZERO, b), t.less(b, _ZERO)
@@ -261,7 +265,7 @@ class Encoder:
             orelse = self.value(node.orelse, scope)
         return pick(condition, then, orelse)
 
-    # Parts
+    # Records, tuples and collections
 
     def make(self, node: ir.Make, scope: Scope) -> Val:
         items = tuple([self.value(item, scope) for item in node.items])
@@ -329,14 +333,17 @@ class Encoder:
         return builtin(self, node, tuple([self.value(arg, scope) for arg in node.args]))
 
     def defined(self, node: ir.Expr, scope: Scope) -> Term:
-        """Return that a formula has a value and is true."""
+        """Return the term "the formula has a value and is true"."""
         return t.and_(*self.parts(node, scope))
 
     def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
-        """Return two terms: the formula has a value, and it is true if it has one."""
+        """Return two terms: the formula has a value; and the formula is true, provided that it has a value."""
         context = self.context
         kept = context.path, context.demands
-        context.path, context.demands = (), []  # as the context managers do, inlined since each instance comes here
+        # This does what `outermost` and `separate_demands` of the context do. It is inlined for speed, since each
+        # instance of a
+        # quantifier is encoded here.
+        context.path, context.demands = (), []
         try:
             formula = self.term(node, scope)
             return t.all_of([demand.term for demand in context.demands]), formula
@@ -345,7 +352,7 @@ class Encoder:
 
 
 def _between(x: Term, a: Term, b: Term) -> Term:
-    """Return that x is between a and b, whichever of them is less."""
+    """Return the term "x is between a and b", for a <= b as well as for b <= a."""
     return t.or_(t.and_(t.at_most(a, x), t.at_most(x, b)), t.and_(t.at_most(b, x), t.at_most(x, a)))
 
 

@@ -1,6 +1,6 @@
-"""Functions: `fun`s are executed symbolically.
+"""Calls of functions: a `fun` is executed symbolically.
 
-Extern functions have contracts, spec functions have axioms.
+An extern function is known by its contract only, a spec function by its axioms only.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class Functions:
-    """Functions of a program in one context.
+    """Functions of a program in one proof context.
 
-    `know` receives the head of each loop that is cut. `brief`: add no facts about what such loops leave behind, since
-    most proofs need none."""
+    `know`: receives the head of each loop that is cut, and adds the facts that hold at the head.
+    `brief`: add no facts about the results of functions with such loops; most proofs do not need these facts."""
 
     def __init__(
         self, context: ProofContext, params: dict[str, Val], know: Callable[[LoopHead], None], brief: bool
@@ -53,8 +53,11 @@ class Functions:
         return self.encoder.apply(name, symbol(name), args, node.type)
 
     def run(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
-        """Return the result of a call. Its demands are made at each call. Calls with equal arguments share one
-        symbolic execution. SOUND: a run that calls no extern function adds no facts that depend on the call's place."""
+        """Return the result of a call.
+
+        Calls with equal arguments share one symbolic execution, but each call makes the function's demands anew.
+        SOUND: sharing is safe because a function that calls no extern function adds no facts that depend on the program
+        point of the call."""
         if not self.is_closed(function):
             return self.result(function, args)
         context, key = self.context, (function.name, *map(_identity, args))
@@ -67,7 +70,7 @@ class Functions:
         return result
 
     def is_closed(self, function: decl.Function) -> bool:
-        """Return whether a run calls no extern function."""
+        """Return whether a function calls no extern function, neither directly nor through other functions."""
         if function.name not in self.closed:
             called = [n for n in walk(function.block) if isinstance(n, (ir.Call, ir.ExternCall))]
             functions = [self.functions.get(n.name) for n in called]
@@ -84,10 +87,11 @@ class Functions:
             found = left.value if found is None else pick(t.all_of(left.path[depth:]), left.value, found)
         if not frame.heads and found is not None:
             return found
-        # SOUND (over-approximation): only the facts at its head are known of a loop that is cut. The result is one
-        # value for equal arguments, any of those that the facts allow.
+        # SOUND (over-approximation): of a loop that is cut, only the facts at its head are known. So the function's
+        # result is
+        # an arbitrary value that these facts allow, the same for equal arguments.
         self.context.note(
-            f"{function.name}: only the invariants and facts about turns are known of what its loops write"
+            f"{function.name}: only the invariants and facts about iterations are known of what its loops write"
         )
         result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
         if found is not None and not self.brief:
@@ -99,7 +103,7 @@ class Functions:
     def frame(
         self, function: decl.Function, args: tuple[Val, ...], encoding: EncodingOf | None = None
     ) -> SymbolicFrame:
-        """Return the frame in which a function is about to run."""
+        """Return a frame for the symbolic execution of a function, with its parameters set to `args`."""
         parameters = {p.name: p.type for p in function.parameters}
         types = {**parameters, **temps_of(function.block)}
         frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, encoding)
@@ -108,10 +112,10 @@ class Functions:
         return frame
 
     def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
-        """Encode a call of an extern function: demand what it requires, assume what it ensures.
+        """Encode a call of an extern function: demand what its contract requires, assume what it ensures.
 
-        The latter holds where the call is made and has a result, since an event whose call breaks its contract is
-        discarded."""
+        The contract's guarantees are assumed only for runs that reach the call and fulfil its requirements. The
+        semantics discards an event whose call breaks the contract."""
         result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
         required, ensured = self.contract(function, args, result)
         for formula in required:
@@ -124,7 +128,9 @@ class Functions:
     def contract(
         self, function: decl.ExternFunction, args: tuple[Val, ...], result: Val
     ) -> tuple[list[Term], list[tuple[Term, int]]]:
-        """Return what a call requires, and what its result then satisfies, each with its line."""
+        """Return the formulas that a call requires, and those that the contract then ensures.
+
+        Each ensured formula comes with its line in the program."""
         types = {p.name: p.type for p in function.parameters}
         frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
         frame.temps = dict(zip(types, args, strict=True))
@@ -134,7 +140,7 @@ class Functions:
 
 
 def _identity(value: Val) -> object:
-    """Return a key of an argument. Arguments with equal keys have equal values in every state."""
+    """Return a hashable key of an argument. Arguments with equal keys have equal values in every model."""
     match value:
         case FleetValue(name):
             return "fleet", name

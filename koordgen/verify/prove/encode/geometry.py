@@ -1,11 +1,14 @@
-"""Distances of points and of paths: functions with lemmas that hold for robots' computations.
+"""Distances of points and paths: uninterpreted functions, with lemmas about robots' computations.
 
-Of a path only its first and last point are modelled, and paths of one point. Squares of distances become facts only if
-coordinates occur in other arithmetic (`measured`), or on request (`exact`). All other facts are linear.
+The model of a path consists of its length, its first point and its last point.
 
-`brief` adds fewer facts, which suffice for most proofs. Distances that lemmas introduce get no lemmas of their own,
-except about distances that exist already. Instead of facts that a distance is symmetric, each pair is written in one
-order. That order is a heuristic: pairs that are equal, but not known to be when they are written, may differ in it.
+Facts about squares of distances are added only if coordinates occur in other arithmetic (`measured`), or on request
+(`exact`). They make an obligation nonlinear; all other facts are linear.
+
+With `brief`, fewer facts are added, which suffice for most proofs. A distance that a lemma introduces then gets no
+lemmas of its own, except lemmas that relate it to distances that exist already. No fact states that a distance is
+symmetric: instead, the two arguments are always written in one order. That order is a heuristic. Two pairs that are
+equal in a model, but were not known to be equal when they were written, may be written in different orders.
 """
 
 from __future__ import annotations
@@ -18,32 +21,36 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
 _ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
-DISTANCES = "distances of points: never negative, zero between equal points only, exact by squares where that is needed"
+DISTANCES = "distances of points: never negative, zero between equal points only, squares of coordinates where needed"
 PATHS = (
-    "path_distance: symmetric; never negative; of two paths of one point the distance of the points; not above the "
-    "distance of an end of the path; less by d at most when the point of a path of one point moves by d; not above the "
+    "path_distance: symmetric; never negative; the distance of the points if both paths have one point; not above the "
+    "distance of an end of the path; changes by at most d if a path of one point moves by d; not above the "
     "sum of the distances to a third point"
 )
 Triple = tuple[Term, ...]
 
 
 class Geometry:
-    """Distances that occur in one context."""
+    """Distances of points and of paths that occur in one proof context."""
 
     def __init__(self, context: ProofContext, lists: Lists) -> None:
         self.context, self.lists = context, lists
         self.distances: dict[tuple[Triple, Triple], Term] = {}
-        self.neighbours: dict[Triple, dict[Triple, Term]] = {}  # distances that the program itself mentions
-        self.paths: dict[tuple[Term, Term], Term] = {}  # pairs of paths -> their distance, both ways
-        self.points: dict[Term, Triple] = {}  # paths of one point
-        self.given: set[Term] = set()  # paths that the program itself mentions
+        # point -> other point -> their distance, for the pairs whose distance the program itself computes
+        self.neighbours: dict[Triple, dict[Triple, Term]] = {}
+        # pair of paths -> their distance, stored for both orders of the pair
+        self.paths: dict[tuple[Term, Term], Term] = {}
+        self.points: dict[Term, Triple] = {}  # path that has exactly one point -> this point
+        self.given: set[Term] = set()  # paths whose distance the program itself computes
         self.singles: dict[Triple, Term] = {}
-        self.done: set[tuple[Term, Term, int]] = set()  # pairs of paths, with the number of neighbours at that time
-        self.others: dict[Term, Collection] = {}  # paths that are not known to have one point
+        # pairs of paths with lemmas, and the number of known neighbours and single points when these were added
+        self.done: set[tuple[Term, Term, int]] = set()
+        # term of a path that is not known to have exactly one point -> the path
+        self.others: dict[Term, Collection] = {}
         self.measured = False
         self.squared: set[Term] = set()
         self.brief = False
-        self.settled = False  # lemmas introduce no more distances
+        self.settled = False  # True if lemmas must not introduce further distances
         self.ranks: dict[Term, int] = {}
 
     def distance(self, a: Val, b: Val) -> Term:
@@ -78,16 +85,16 @@ class Geometry:
         return found
 
     def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
-        """Return a pair in the order in which it is written.
+        """Return two points in the order in which their distance is written.
 
-        If `brief`, the point of the acting robot comes first, so that pairs whose parts turn out equal become one term.
-        Any order is right."""
+        With `brief`, the point that depends on the acting robot comes first. So pairs that are equal get the same term
+        more often. Any order is sound."""
         return (q, p) if self.brief and max(map(self._rank, q)) < max(map(self._rank, p)) else (p, q)
 
     def _rank(self, term: Term) -> int:
-        """Return the place of the last robot in a term, in the order of the context's robots.
+        """Return the position of a term's last robot among the context's robots.
 
-        -1 without a robot."""
+        Returns -1 for a term without a robot."""
         if isinstance(term, t.LiteralTerm):
             return -1
         found = self.ranks.get(term)
@@ -99,7 +106,7 @@ class Geometry:
     def path_distance(self, a: Collection, b: Collection) -> Term:
         """Return the distance of two paths, in metres.
 
-        For a path without points it is infinite: an unknown number."""
+        The distance from a path without points is infinite. The encoding leaves it an unknown number."""
         for one, other in ((a, b), (b, a)):
             if isinstance(one, ConditionalCollection):
                 then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
@@ -145,7 +152,7 @@ class Geometry:
     def _from_point(self, point: Triple, q: Term) -> Term | None:
         """Return the distance of a point from a path.
 
-        None if it is new and lemmas introduce no more distances."""
+        Returns None if this distance does not exist yet and lemmas must not introduce further distances."""
         if q in self.points:
             met = point == self.points[q] or (point, self.points[q]) in self.distances
             return self._distance(point, self.points[q]) if met or not self.settled else None
@@ -159,7 +166,9 @@ class Geometry:
     # Lemmas
 
     def lemmas(self, exact: bool) -> None:
-        """Add facts about the distances that occur; facts by squares about all of them if `exact`."""
+        """Add the lemmas about the distances that occur in the context.
+
+        With `exact`, add facts about the squares of all these distances."""
         with self.context.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
                 round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
@@ -176,7 +185,9 @@ class Geometry:
         self.settled = self.brief
 
     def _ends(self, p: Term, q: Term, found: Term) -> None:
-        """A path is at most as far away as its first and its last point; one of a single point exactly as far."""
+        """Add the fact that a path is at most as far from a path `q` as its first and its last point are.
+
+        A path of one point is exactly as far from `q` as that point."""
         path, fact = self.others[p], self.context.fact
         long = self.lists.length(path)
         some, one = t.less(_ZERO, long), t.equals(long, _ONE)
@@ -201,14 +212,19 @@ class Geometry:
             self._near(one, first, q, found)
 
     def _past_points(self, p: Term, q: Term, found: Term) -> None:
-        """The distance of two paths is at most the sum of their distances from a third point."""
+        """Add the triangle inequality for two paths.
+
+        The distance of two paths is at most the sum of their distances from a third point."""
         for single in list(self.points) if q in self.others else ():
             there, back = self.paths.get((single, p)), self.paths.get((single, q))
             if there is not None and back is not None:
                 self.context.fact(t.at_most(found, t.add(there, back)))
 
     def _near(self, one: Term, point: Triple, q: Term, found: Term) -> None:
-        """Relate the distances from a path of two points that are near each other."""
+        """Add triangle inequalities for two points and the path `q`.
+
+        The distances of the two points from `q` differ by at most the distance of the points. `one` is the condition
+        under which `found` is the distance of `point` from `q`."""
         some = t.less(_ZERO, self.lists.length(self.others[q])) if q in self.others else t.TRUE
         for other, apart in list(self.neighbours.get(point, {}).items()):
             there = self._from_point(other, q)
@@ -235,7 +251,7 @@ def _single(point: Triple) -> EnumeratedCollection:
 
 
 def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
-    """Return a conditional point as its condition and its two alternatives; None for any other point."""
+    """Return the condition and the two alternatives of a conditional point; None for any other point."""
     if not all(isinstance(x, t.Op) and x.name == "ite" for x in point):
         return None
     ways = [x.args for x in point if isinstance(x, t.Op)]

@@ -1,7 +1,7 @@
 """Lengths, elements and equality of collections, derived from how each collection was built.
 
-An unknown length or element is a function of the collection's term: `List<Task>.len`, `List<Task>.at.id`.
-`Lists.term` makes a term of a collection that becomes an argument of a function.
+If the length or an element cannot be derived, it is a function of the collection's term: `List<Task>.len`,
+`List<Task>.at.id`. `Lists.term` returns the term of a collection that becomes an argument of a function.
 """
 
 from __future__ import annotations
@@ -48,8 +48,9 @@ class Lists:
         self.terms: dict[Collection, Term] = {}
         self.fleets: dict[Term, FleetValue] = {}
         self.lengths: dict[Collection, Term] = {}
-        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read
-        self.asked: dict[Term, list[tuple[Val, Term]]] = {}  # collection -> item and result of each membership test
+        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read from it
+        # collection -> item and result of each test whether the item is in it
+        self.asked: dict[Term, list[tuple[Val, Term]]] = {}
         self.elements: dict[tuple[Collection, Term], Val] = {}
 
     def length(self, xs: Collection) -> Term:
@@ -77,11 +78,13 @@ class Lists:
 
     def _long(self, xs: Collection) -> Term:
         found = as_term(self.context.function(f"{xs.type}.len", (self.term(xs),), INT))
-        self.context.fact(t.at_most(_ZERO, found), "no length is negative")
+        self.context.fact(t.at_most(_ZERO, found), "a list's length is not negative")
         return found
 
     def element(self, xs: Collection, index: Term) -> Val:
-        """Return `xs[index]`; of a set or map, in its own order. Any value if the index is out of range."""
+        """Return `xs[index]`, or an arbitrary value if the index is out of range.
+
+        The elements of a set or a map have an order that is arbitrary but fixed."""
         found = self.elements.get((xs, index))
         if found is None:
             plain = type(xs) is OpaqueCollection
@@ -122,7 +125,7 @@ class Lists:
                 return self._read(self.term(xs), xs.type, index)
 
     def _read(self, xs: Term, type_: Type, index: Term) -> Val:
-        """Return an element of an opaque collection, and note that the collection contains it."""
+        """Return an element of an opaque collection. A fact states that the collection contains it."""
         found = self.context.function(f"{type_}.at", (xs, index), element_type(type_))
         if not isinstance(type_, PerRobot):
             self.context.element(index, robots=False, places=not _end(index))
@@ -153,7 +156,7 @@ class Lists:
         return found
 
     def place(self, xs: Collection, item: Val) -> Term:
-        """Return the first place of an item, if the collection contains it; else any int."""
+        """Return the position of an item's first occurrence; an arbitrary int if the item is not contained."""
         found = as_term(self.context.function(f"{xs.type}.index", (self.term(xs), *self.leaves(item)), INT))
         here = t.and_(t.at_most(_ZERO, found), t.less(found, self.length(xs)))
         self.context.fact(
@@ -162,7 +165,7 @@ class Lists:
         return found
 
     def has(self, xs: Collection, item: Val) -> Term:
-        """Return whether a collection contains an item; for a map, whether it is a key."""
+        """Return the term "the collection contains the item"; for a map, "the item is a key of the map"."""
         match xs:
             case EnumeratedCollection(items, type_):
                 keys = [pair[0] if isinstance(type_, MapOf) else pair for pair in items]  # type: ignore[index]
@@ -187,7 +190,7 @@ class Lists:
                 return self._asked(self.term(xs), xs.type, item)
 
     def value(self, xs: Collection, key: Val) -> Val:
-        """Return the value of a map for a key that it has."""
+        """Return the value that a map holds for a key. The caller demands or tests that the map has this key."""
         match xs:
             case ConditionalCollection(condition, then, orelse):
                 return pick(condition, self.value(then, key), self.value(orelse, key))
@@ -208,7 +211,7 @@ class Lists:
     # Equality
 
     def same(self, a: Val, b: Val) -> Term:
-        """Return `a == b` of two values of one type."""
+        """Return the term `a == b` for two values of the same type."""
         if a is b:
             return t.TRUE
         if isinstance(a, tuple) and isinstance(b, tuple):
@@ -236,7 +239,7 @@ class Lists:
     # Terms of collections
 
     def leaves(self, value: Val) -> tuple[Term, ...]:
-        """Return a value as its terms, one for each collection in it."""
+        """Return the terms that make up a value. Each collection in the value is one term."""
         if isinstance(value, tuple):
             flat: list[Term] = []
             for part in value:
@@ -248,7 +251,7 @@ class Lists:
         return (self.term(value) if isinstance(value, _COLLECTIONS) else as_term(value),)
 
     def term(self, xs: Collection) -> Term:
-        """Return the term of a collection."""
+        """Return the term that stands for a collection as an argument of a function."""
         if isinstance(xs, OpaqueCollection):
             return xs.term
         found = self.terms.get(xs)
@@ -282,9 +285,10 @@ class Lists:
         return t.apply(t.FunctionSymbol(name, tuple([a.sort for a in args]), sort), *args)
 
     def _tell(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
-        """Add facts about the length and some elements of a collection that became a term.
+        """Add facts about the length and some elements of a collection, when it gets a term.
 
-        SOUND: nothing is added where an update is undefined, as removing an element of an empty list is."""
+        SOUND: if the update that made the collection is undefined, for example the removal of an element from an empty
+        list, no fact is added."""
         named = OpaqueCollection(made, xs.type)
         possible: Term = t.TRUE
         if isinstance(xs, UpdatedCollection):
@@ -300,9 +304,9 @@ class Lists:
                 self.context.fact(t.implies(t.and_(possible, there), same))
 
     def _fleet(self, name: str, xs: FleetValue, sort: Sort) -> Term:
-        """Return the term of all slots of an allread variable in one state.
+        """Return one term for the slots of an allread variable of all robots, in one state.
 
-        Two such terms are equal, or differ at some robot."""
+        Two such terms are equal, or there is a robot at which their slots differ."""
         found: Term = t.constant(f"{name}@all", sort)
         for other, fleet in self.fleets.items():
             if other is found:
@@ -317,14 +321,14 @@ class Lists:
 
 
 def _end(index: Term) -> bool:
-    """Return whether a place is a constant distance from a list's beginning or end."""
+    """Return whether a position is at a constant distance from the beginning or the end of a list."""
     while isinstance(index, t.Op) and index.name == "+" and t.number(index.args[1]) is not None:
         index = index.args[0]
     return isinstance(index, t.LiteralTerm) or (isinstance(index, t.Apply) and index.function.name.endswith(".len"))
 
 
 def default(type_: Type, records: dict[str, Val]) -> Val | None:
-    """Return the default value of a type; None if nothing is known of it."""
+    """Return the default value of a type; None if the default is not known."""
     if is_collection(type_):
         return EnumeratedCollection((), type_)
     name = str(type_)

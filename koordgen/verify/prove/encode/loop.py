@@ -1,8 +1,8 @@
-"""Loops, analysed from the IR alone: encoding, written variables, and facts about turns.
+"""Loops, analysed from the IR alone: how a loop is encoded, which variables it writes, which writes have known effects.
 
 Nothing in this module depends on the encoder, so that the obligations of a program can be counted without encoding it
-(`koordgen/verify/prove/obligations/count.py`). The facts about turns follow from the semantics of loops
-(docs/reference/semantics.md, "Loops"); no obligation shows them.
+(`koordgen/verify/prove/obligations/count.py`). Facts about the iterations of a loop follow from the semantics of loops
+(docs/reference/semantics.md, "Loops"), so they need no obligation.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from koordgen.lang.ir.types import MapOf, Sequence, Type
 from koordgen.lang.node import Node
 from koordgen.verify.prove.encode.state import Key
 
-MAX_UNROLLED = 8  # most turns of a loop that is unrolled
+MAX_UNROLLED = 8  # largest number of iterations for which a loop is unrolled
 
 Loop = stmt.For | stmt.While
 LoopEncoding = Literal["unrolled", "search", "cut"]
@@ -63,12 +63,17 @@ def key_read(node: Node) -> Key | None:
 def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> LoopEncoding:
     """Return the encoding of a loop of an event or of `init`.
 
-    `known`: the params with fixed values; `robots`: the number of robots if each is named by its number, else None.
+    `known`: the params with fixed values.
+    `robots`: the number of robots if each robot is named by its number; None otherwise.
 
-    unrolled: a `for` without invariants over at most MAX_UNROLLED elements, whose number is constant in the program.
-    search: a `for` whose turns write nothing that a later turn can read. The first element that leaves it decides.
-    cut: any other loop. What it writes is havocked, then constrained by its invariants and the facts about turns.
-    """
+    The encodings are:
+
+    - "unrolled": a `for` without invariants over at most MAX_UNROLLED elements, whose number is constant in the
+      program.
+    - "search": a `for` in which no iteration writes a variable that a later iteration can read. The first element at
+      which the loop is left decides the result.
+    - "cut": any other loop. The variables that it writes are havocked, then constrained by the loop's invariants and
+      the facts about its iterations."""
     if isinstance(loop, stmt.For) and not loop.invariants:
         many = length(loop.values, known, robots)
         if many is not None and many <= MAX_UNROLLED:
@@ -82,18 +87,18 @@ def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) ->
 def has_loop(block: stmt.Block) -> bool:
     """Return whether a block contains a loop.
 
-    Such a block is encoded even if it is unreachable, so that the number of obligations does not depend on what the
-    encoder finds to be impossible."""
+    A block with a loop is encoded even if it is unreachable. Otherwise the number of obligations would depend on which
+    code the encoder finds to be unreachable, and `count.py` could not predict it."""
     return any(isinstance(s, (stmt.For, stmt.While)) for s in statements(block))
 
 
 def is_search(loop: stmt.For) -> bool:
-    """Return whether a loop has no loop-carried variable and the program states no invariant of it."""
+    """Return whether a loop can be encoded as a search: it has no loop-carried variable and no stated invariant."""
     return not loop_carried(loop) and not loop.invariants
 
 
 def length(values: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
-    """Return the number of elements of a `for`; None if it is no constant of the program."""
+    """Return the number of elements of a `for`; None if this number is not a constant of the program."""
     match values:
         case ir.Range(start, stop, step):
             low, high = (whole(bound, known, robots) for bound in (start, stop))
@@ -129,7 +134,7 @@ def is_unordered(type_: Type) -> bool:
     return isinstance(type_, MapOf) or (isinstance(type_, Sequence) and type_.name == "Set")
 
 
-# Variables that a loop writes
+# Variables that a loop writes, and those that one iteration passes on to the next
 
 
 def written(block: stmt.Block) -> dict[Key, None]:
@@ -138,9 +143,9 @@ def written(block: stmt.Block) -> dict[Key, None]:
 
 
 def loop_carried(loop: Loop) -> dict[Key, None]:
-    """Return the loop-carried variables: those that a turn may write on a path to the next turn.
+    """Return the loop-carried variables: those that an iteration may write on a path to the next iteration.
 
-    Not included: what a turn writes before it leaves the loop, and the loop's own variables."""
+    A variable that is written only on paths that leave the loop is not loop-carried; nor is the loop's own variable."""
     own = set(temps_of(loop.block))
     if isinstance(loop, stmt.For):
         own.update(loop.names)
@@ -148,17 +153,17 @@ def loop_carried(loop: Loop) -> dict[Key, None]:
 
 
 def has_next_turn(loop: Loop) -> bool:
-    """Return whether some path through the block leads to the loop's head again."""
+    """Return whether some path through the loop's block leads to the loop's head again."""
     _, ends, continues = _kept(loop.block)
     return ends or continues
 
 
 def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
-    """Return the variables written before the block's end or a `continue`, and two facts.
+    """Return the variables written on paths to the end of a block or to a `continue`, and two flags.
 
-    The second value is whether some path reaches the block's end, the third whether some path reaches a `continue`."""
-    so_far: dict[Key, None] = {}  # on paths that reach this statement
-    continued: dict[Key, None] = {}  # on paths that ended in a `continue`
+    The first flag: some path reaches the end of the block. The second flag: some path reaches a `continue`."""
+    so_far: dict[Key, None] = {}  # variables written on the paths that reach this statement
+    continued: dict[Key, None] = {}  # variables written on the paths that ended in a `continue`
     continues = False
     for statement in block:
         match statement:
@@ -188,7 +193,7 @@ def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
 
 
 def temps_of(block: stmt.Block) -> dict[str, Type]:
-    """Return the types of the variables that a block declares itself."""
+    """Return the types of the local variables that a block declares."""
     found: dict[str, Type] = {}
     for statement in statements(block):
         if isinstance(statement, stmt.Let):
@@ -199,7 +204,7 @@ def temps_of(block: stmt.Block) -> dict[str, Type]:
 
 
 def exposes_element(block: stmt.Block, names: tuple[str, ...]) -> bool:
-    """Return whether a value after the loop depends on which element left it."""
+    """Return whether a value that is used after the loop may depend on the element at which the loop was left."""
     for statement in block:
         match statement:
             case stmt.Assign(_, value) | stmt.Return(value):
@@ -217,15 +222,18 @@ def exposes_element(block: stmt.Block, names: tuple[str, ...]) -> bool:
     return False
 
 
-# Writes by the turns of a loop
+# Statements that write variables in a loop
 
 
 class LoopWrite(NamedTuple):
-    """A statement that writes a variable in a loop, outside of inner loops.
+    """A statement that writes a variable in the block of a loop, outside of inner loops.
 
-    `guards`: the conditions around it, each with the value that it must have. `lets`: the declarations of the loop's
-    own variables before it. `group`: statements of one group run in the same turns. `sure`: nothing before it leaves
-    the turn, so it runs in each turn in which its guards hold."""
+    `key`: the variable.
+    `value`: the expression that is assigned.
+    `guards`: the `if` conditions around the statement, each with the value that it must have.
+    `lets`: the declarations of local variables that precede the statement.
+    `group`: statements of the same group run in the same iterations.
+    `sure`: no earlier statement can leave the iteration, so this one runs in each iteration in which `guards` hold."""
 
     key: Key
     value: ir.Expr
@@ -236,12 +244,12 @@ class LoopWrite(NamedTuple):
 
 
 class LoopWrites:
-    """Statements by which the block of a loop writes its variables, found by the shape of the block."""
+    """Statements of a loop's block that write variables, found by the block's syntax."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
         self.changed = written(loop.block)
-        self.opaque: set[Key] = set()  # written in inner loops
+        self.opaque: set[Key] = set()  # variables written in inner loops
         self.all: list[LoopWrite] = []
         self._walk(loop.block, (), (), True)
 
@@ -271,18 +279,18 @@ class LoopWrites:
                     assert_never(statement)
 
     def of(self, key: Key) -> list[LoopWrite]:
-        """Return the statements that write a variable; none if an inner loop writes it, too."""
+        """Return the statements that write a variable; an empty list if an inner loop writes the variable, too."""
         return [] if key in self.opaque else [write for write in self.all if write.key == key]
 
     def only(self, key: Key) -> LoopWrite | None:
-        """Return the only statement that writes a variable; None if there are several."""
+        """Return the only statement that writes a variable; None if there is no such statement or several."""
         found = self.of(key)
         return found[0] if len(found) == 1 else None
 
     def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
-        """Return whether a value is independent of what the loop writes.
+        """Return whether an expression's value does not depend on any variable that the loop writes.
 
-        It may depend on variables that the loop does not write and, if `element`, on the element of its turn."""
+        If `element`, the value may depend on the loop's own variable, the element of the iteration."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
         for part in walk(node):
@@ -305,12 +313,12 @@ class LoopWrites:
 
 
 def leaves(part: stmt.Stmt) -> bool:
-    """Return whether a statement may end the turn, the loop or the event."""
+    """Return whether a statement may end the iteration, the loop or the event."""
     return any(isinstance(s, (stmt.Break, stmt.Continue, stmt.Return, stmt.Stop)) for s in statements((part,)))
 
 
 def step_of(write: LoopWrite) -> int | None:
-    """Return the constant that a statement adds to its own variable; None for any other statement."""
+    """Return the constant that an assignment adds to its own variable; None for any other assignment."""
     match write.value:
         case ir.Binary("+" | "-" as op, left, right):
             if key_read(left) == write.key:
@@ -322,7 +330,9 @@ def step_of(write: LoopWrite) -> int | None:
 
 
 class RunningExtreme(NamedTuple):
-    """Statement that keeps the least or greatest value over the turns in which `guards` hold."""
+    """Assignment that keeps a variable at the least or greatest `value` of the iterations in which `guards` hold.
+
+    `least`: True for the least value, False for the greatest value."""
 
     write: LoopWrite
     value: ir.Expr
@@ -331,9 +341,10 @@ class RunningExtreme(NamedTuple):
 
 
 def running_extreme_of(write: LoopWrite) -> RunningExtreme | None:
-    """Recognise a statement that keeps the least or greatest value; None for others.
+    """Return the running extreme that an assignment computes; None for any other assignment.
 
-    Its forms are `if value < v: v = value` and `v = min(v, value)`, and likewise for the greatest."""
+    Two forms are recognised: `if value < v: v = value` and `v = min(v, value)`. The same holds for the greatest value.
+    """
     match write.value:
         case ir.Builtin("min" | "max" as name, (left, right)):
             for own, other in ((left, right), (right, left)):
@@ -352,7 +363,7 @@ def running_extreme_of(write: LoopWrite) -> RunningExtreme | None:
 
 
 def conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
-    """Yield the parts of a conjunction, from left to right."""
+    """Yield the conjuncts of a formula, from left to right."""
     if isinstance(formula, ir.Logic) and formula.op == "and":
         yield from conjuncts(formula.left)
         yield from conjuncts(formula.right)

@@ -1,4 +1,4 @@
-"""Quantifiers, and the domains over which quantifiers and loops run."""
+"""Quantifiers, and the domains over which quantifiers and `for` loops range."""
 
 from __future__ import annotations
 
@@ -17,15 +17,19 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE = t.integer(0), t.integer(1)
-_EXPANDED = 8  # largest domain whose elements are enumerated
+_EXPANDED = 8  # largest domain whose elements are encoded one by one
 
 
 class IterationDomain(NamedTuple):
-    """Domain of a quantifier or a `for`.
+    """Domain of a quantifier or of a `for` loop.
 
-    Its places are ints: `start`, `start + step` and so on, before `stop`. `inside`: whether an int is a place of it;
-    `element`: the element at a place; `listed`: all elements, if they can be enumerated. `robots`, `places`: whether
-    its places may name robots, or be places in lists."""
+    The positions in the domain are the ints `start`, `start + step` and so on, before `stop`.
+
+    `inside`: returns the term "this int is a position in the domain".
+    `element`: returns the element at a position.
+    `listed`: all elements, if they can be enumerated; None otherwise.
+    `robots`: whether positions may be pids of robots.
+    `places`: whether positions may be positions in a list."""
 
     inside: Callable[[Term], Term]
     element: Callable[[Term], Val]
@@ -37,31 +41,32 @@ class IterationDomain(NamedTuple):
     step: int
 
     def ahead(self, index: Term) -> Term:
-        """Return that a loop at this place has an element left."""
+        """Return the term "a loop whose next position is `index` has at least one element left"."""
         return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
 
     def not_after(self, a: Term, b: Term) -> Term:
-        """Return that place `a` comes before `b` or is the same."""
+        """Return the term "a loop reaches position `a` before position `b`, or `a` and `b` are equal"."""
         return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
 
     def passed(self, index: Term, head: Term) -> Term:
-        """Return that a loop at place `head` has already gone through the place `index`."""
+        """Return the term "a loop whose next position is `head` has already processed position `index`"."""
         before = t.less(index, head) if self.step > 0 else t.less(head, index)
         reached = self.not_after(self.start, index)
         return t.all_of([before, reached, *self.on_grid(index)])
 
     def on_grid(self, index: Term) -> list[Term]:
-        """Return that an int is `start` plus a multiple of `step`; an empty list for a step of 1 or -1."""
+        """Return the terms "`index` is `start` plus a multiple of `step`"; an empty list for a step of 1 or -1."""
         if abs(self.step) == 1:
             return []
         return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
 
 
 def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
-    """Encode a quantifier as a truth value that agrees with every instance that is built.
+    """Encode a quantifier as a truth value that is consistent with each of its instances that is built.
 
-    If `e.strict`, it demands that all instances have values: `not exists` has no value, and is not true, if an instance
-    has none. SOUND: this demands more than the semantics, which stops at the first instance that decides."""
+    If `e.strict`, a demand states that all instances have values. A `not exists` of which an instance has no value
+    then has no value itself. SOUND: this demands more than the semantics does, which stops at the first instance that
+    decides the quantifier."""
     every = node.kind == "forall"
     over = domain(e, node.domain, scope, node.body, node.name)
     temps, strict = dict(scope.temps), e.strict
@@ -105,7 +110,7 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
 
 
 def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
-    """Return whether an instance may have no value, judged by its operations alone."""
+    """Return whether an instance of a quantifier may have no value. Only the kinds of its operations decide this."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
     for part in walk(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
@@ -130,20 +135,21 @@ def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
 def proxy(
     context: ProofContext, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False
 ) -> Term:
-    """Return a truth value that is equivalent to the truth of every instance.
+    """Return a truth value that is equivalent to the truth of all instances.
 
-    One direction is a witness `some` for which the instance fails if the value is false. The other is instantiated."""
+    Two directions: if the truth value is false, then the instance at a new constant, the witness, is false. If the
+    truth value is true, then every instance is true; this universal formula is instantiated later."""
     some = context.new(name, t.INT)
     first = instance(some)
     found = context.new(f"forall {name}", t.BOOL)
     context.element(some, robots, places)
-    context.fact(t.or_(found, t.not_(first)), "a witness for which it does not hold")
+    context.fact(t.or_(found, t.not_(first)), "a witness at which the formula is false")
     context.for_all(lambda index: t.implies(found, instance(index)), robots, places)
     return found
 
 
 def in_fleet(e: ExprEncoder, xs: FleetValue, item: Val) -> Term:
-    """Return whether some robot's value is this item."""
+    """Return the term "some robot's value is this item"."""
     context = e.context
     key = (xs.name, *e.lists.leaves(item))
     if key not in context.absent:
@@ -154,7 +160,7 @@ def in_fleet(e: ExprEncoder, xs: FleetValue, item: Val) -> Term:
 
 
 def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> IterationDomain:
-    """Return the domain of a quantifier or a loop. `body` uses its elements by `name`."""
+    """Return the domain of a quantifier or a loop. In `body`, the element has the name `name`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
@@ -181,7 +187,7 @@ def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) 
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
     if stop is e.context.size and e.context.robots is None:
-        high = None  # robots without numbers are never enumerated
+        high = None  # if robots have no numbers, the elements cannot be enumerated
     listed: list[Val] | None = None
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
         listed = [t.integer(i) for i in range(int(low), int(high), node.step)]
@@ -204,9 +210,9 @@ def _speaks_of(term: Term, part: Term) -> bool:
 
 
 def names_robots(body: Part, name: str) -> bool:
-    """Return whether an int may be used as the index of a robot.
+    """Return whether the int variable `name` may be used as the pid of a robot in `body`.
 
-    SOUND: one that is passed on counts as used so."""
+    SOUND: a variable that is passed to a function or assigned counts as used in this manner."""
     for part in walk(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
@@ -229,7 +235,7 @@ def _int(index: Term) -> Val:
 
 
 def _key(item: Val, type_: Type) -> Val:
-    """Return the element over which a loop runs: of a map, its key."""
+    """Return the value that a loop's variable has for an element: the key for a map, the element otherwise."""
     if isinstance(type_, MapOf):
         assert isinstance(item, tuple)
         return item[0]

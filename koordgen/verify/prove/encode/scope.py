@@ -1,4 +1,4 @@
-"""Scopes of names in a property of the fleet, and in an assumption about the ports of one robot."""
+"""Scopes: values of the names in a property of the fleet, and in an assumption about the ports of one robot."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class UnknownAnswer(Exception):
-    """An assumption asks a callable port whose answer is unknown in this scope."""
+    """Raised if an assumption calls a callable port whose answer is unknown in this scope."""
 
 
 class FleetScope:
-    """Scope of a property: the shared store, and every robot's locals and ports."""
+    """Scope of a property: it can read the shared store, and the locals and ports of every robot."""
 
     def __init__(self, state: SymbolicState) -> None:
         self.state = state
@@ -50,8 +50,9 @@ class FleetScope:
 class RobotScope(FleetScope):
     """Scope of an assumption about one robot.
 
-    Its ports are those before a step, its primed ports those at an instant of the step. `answers`: answers of its
-    callable ports, by port and arguments."""
+    A port denotes its value before the step, a primed port its value at an instant of the step.
+
+    `answers`: (callable port, arguments) -> answer."""
 
     def __init__(
         self, before: SymbolicState, after: SymbolicState, robot: Term, answers: dict[tuple[str, tuple[Val, ...]], Val]

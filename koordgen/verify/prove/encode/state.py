@@ -1,4 +1,7 @@
-"""States of the fleet as terms: functions of the robot's index, overlaid by an event's writes."""
+"""States of the fleet as terms: each variable is a function of the robot's pid.
+
+A state after an event is the state before it, overlaid with the event's writes.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,14 @@ from koordgen.verify.prove.encode.values import FleetValue, Val, pick
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
-# Kind and name of a variable. Kinds: "local", "slot", "cell", "port" (named "Module.port"); and of one run only "temp"
-# and "wrote" (whether a cell or port was written).
+# Kind and name of a variable. The kinds are "local", "slot", "cell" and "port" (named "Module.port"). Two more kinds
+# exist only while an event or function is executed: "temp" for a local variable of its block, and "wrote" for the truth
+# value whether a cell or a port was written.
 Key = tuple[str, str]
 
 
 def declared(program: Program) -> dict[Key, Type]:
-    """Return all variables of a state, with their types."""
+    """Return the types of all variables that a program declares in its state."""
     found: dict[Key, Type] = {("local", v.name): v.type for v in program.locals}
     found.update({("slot" if v.kind == "allread" else "cell", v.name): v.type for v in program.shared})
     for module in program.modules:
@@ -30,7 +34,7 @@ def declared(program: Program) -> dict[Key, Type]:
 
 
 def cleared(program: Program) -> frozenset[Key]:
-    """Return the sensors that an event changes because its commands clear them."""
+    """Return the sensors that are cleared when an event writes one of their commands."""
     return frozenset([("port", sensor) for sensor in clearable(program)])
 
 
@@ -42,7 +46,8 @@ def sensors(program: Program) -> frozenset[Key]:
 class SymbolicState(Protocol):
     """One state of the fleet.
 
-    `of` reads a robot's variable, or a cell whatever the index. `state_name`: its name."""
+    `of`: returns a variable of the robot with this pid; for an allwrite variable (cell) the pid has no effect.
+    `state_name`: the name of the state, part of its symbols."""
 
     @property
     def types(self) -> Mapping[Key, Type]: ...
@@ -54,9 +59,9 @@ class SymbolicState(Protocol):
 
 
 def slots(state: SymbolicState, name: str) -> FleetValue:
-    """Return an allread variable as a whole.
+    """Return all robots' slots of an allread variable as one value.
 
-    States between which nobody wrote the variable give the same value."""
+    States between which no robot wrote the variable return the same value."""
     key = ("slot", name)
     while (isinstance(state, UpdatedState) and key not in state.writes) or (isinstance(state, HavockedState)):
         state = state.before
@@ -69,7 +74,7 @@ def slots(state: SymbolicState, name: str) -> FleetValue:
 
 
 class ArbitraryState:
-    """Arbitrary state; `state_name` is the suffix of its symbols."""
+    """Arbitrary state: no fact is known about its variables. `state_name` is the suffix of its symbols."""
 
     def __init__(self, context: ProofContext, types: Mapping[Key, Type], state_name: str = "") -> None:
         self.context, self.types, self.state_name = context, types, state_name
@@ -88,9 +93,10 @@ class ArbitraryState:
 
 
 class RoundStart:
-    """State at the round's start as the robot `own` sees it within the round.
+    """State at the round's start, reconstructed at a later time of the same round for the robot `own`.
 
-    What only `own` writes, and the sensors in `shared`, are as in the state `now`; everything else is as in `other`."""
+    The variables that only `own` writes, and the sensors in `shared`, have not changed since: they are read from the
+    state `now`. All other variables are read from the arbitrary state `other`."""
 
     def __init__(self, now: SymbolicState, other: ArbitraryState, own: Term, shared: frozenset[Key]) -> None:
         self.now, self.other, self.own, self.shared = now, other, own, shared
@@ -110,7 +116,7 @@ class RoundStart:
 
 
 class UpdatedState:
-    """State after one robot's writes."""
+    """State after the writes of one robot."""
 
     def __init__(
         self, context: ProofContext, before: SymbolicState, own: Term, writes: Mapping[Key, Val], state_name: str
@@ -130,7 +136,7 @@ class UpdatedState:
 
 
 class HavockedState:
-    """State after a havoc of some variables (the sensors) of all robots."""
+    """State after the sensors of all robots took arbitrary values (a havoc), as in a step of the environment."""
 
     def __init__(self, before: SymbolicState, after: ArbitraryState, moved: frozenset[Key]) -> None:
         self.before, self.after, self.moved = before, after, moved

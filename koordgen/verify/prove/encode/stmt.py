@@ -46,18 +46,22 @@ Path = tuple[Term, ...]
 class Exit:
     """One exit of a block.
 
-    `kind`: "break", "continue", "return" or "stop". `path`: the condition under which it is taken. `env`: what is
-    written by then."""
+    `kind`: "break", "continue", "return" or "stop".
+    `path`: the condition under which the exit is taken.
+    `env`: the values of the variables written up to the exit.
+    `value`: the result, for a "return" of a function."""
 
     def __init__(self, kind: str, path: Path, env: Env, value: Val | None) -> None:
         self.kind, self.path, self.env, self.value = kind, path, env, value
 
 
 class ProgramPoint(NamedTuple):
-    """One program point of an event while it is encoded.
+    """Point in an event or function, recorded while it is encoded.
 
-    `frame`: the values there; `path`: the path condition; `position`: that of the facts known there; `demands`: those
-    of the operations before it."""
+    `frame`: a copy of the values at this point.
+    `path`: the path condition.
+    `position`: facts up to this position are known here.
+    `demands`: the conditions under which all operations before this point have values."""
 
     frame: SymbolicFrame
     path: Term
@@ -66,16 +70,20 @@ class ProgramPoint(NamedTuple):
 
     @property
     def reached(self) -> Term:
-        """Return the condition that a run reaches this point."""
+        """Return the condition that a run reaches this point.
+
+        The run must take the path to this point, and all earlier operations must have values."""
         return t.all_of([self.path, *[demand.term for demand in self.demands]])
 
 
 class LoopHead:
     """Head of one loop that is cut.
 
-    `entry`: the point before the first turn. `turn`: the head before any turn or after the last one. `back`: the end of
-    a turn that leads to the head again; None if no turn does.
-    """
+    `loop`: the loop.
+    `kept`: its loop-carried variables, which are havocked at the head.
+    `entry`: the program point before the first iteration.
+    `turn`: the head before an arbitrary iteration, or after the last one.
+    `back`: the end of an iteration that leads to the head again; None if no iteration does."""
 
     def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: ProgramPoint) -> None:
         self.loop, self.kept, self.entry = loop, kept, entry
@@ -86,9 +94,11 @@ class LoopHead:
 class SymbolicFrame:
     """Symbolic execution of one effect or function.
 
-    `now`: the state that is written; `seen`: the state whose shared variables are read; both None in a function.
-    `types`: those of the run's own variables. `know` receives each loop head and adds the facts that hold there.
-    `encoding` chooses the encoding of a loop; without it, the number of its elements does."""
+    `now`: the state that the effect changes; None in a function.
+    `seen`: the state in which shared variables are read; None in a function.
+    `types`: the types of the local variables of the block.
+    `know`: receives each loop head and adds the facts that hold there.
+    `encoding`: chooses the encoding of a loop. If None, the encoding depends on the number of the loop's elements."""
 
     def __init__(
         self, encoder: Encoder, pid: Term, now: SymbolicState | None, seen: SymbolicState | None,
@@ -102,7 +112,7 @@ class SymbolicFrame:
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
         self.heads: list[LoopHead] = []
-        self.brief = False  # add fewer facts about the turns of loops
+        self.brief = False  # True to add fewer facts about the iterations of loops
 
     def place(self) -> ProgramPoint:
         """Return the current program point, with a copy of all values."""
@@ -111,7 +121,9 @@ class SymbolicFrame:
         return ProgramPoint(copy, t.all_of(self.context.path), self.context.position, tuple(self.context.demands))
 
     def state(self) -> UpdatedState:
-        """Return the fleet's state if the event ended here. Its unique name distinguishes the variables in it."""
+        """Return the fleet's state as if the event ended at this point.
+
+        Each returned state has a unique name, which keeps its variables apart from those of other states."""
         assert self.now is not None
         writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
         self.context.fresh += 1
@@ -155,9 +167,9 @@ class SymbolicFrame:
     # Statements
 
     def block(self, block: stmt.Block) -> Term:
-        """Run statements.
+        """Execute the statements of a block.
 
-        Return the condition that the end of the block is reached, given that its beginning is."""
+        Return the condition that the end of the block is reached, given that its beginning is reached."""
         live: Term = t.TRUE
         for place, statement in enumerate(block):
             if live is t.FALSE and not has_loop(block[place:]):
@@ -198,7 +210,7 @@ class SymbolicFrame:
             self.env["wrote", key[1]] = t.TRUE
 
     def put(self, key: Key, value: Val) -> None:
-        """Give a variable its new value."""
+        """Give a variable a new value."""
         if key[0] == "temp":
             self.temps[key[1]] = value
         else:
@@ -272,7 +284,7 @@ class SymbolicFrame:
         return live
 
     def run(self, loop: Loop, element: Val | None) -> Term:
-        """Run one turn of a loop. Return the condition that its end, or a `continue`, is reached."""
+        """Execute one iteration of a loop. Return the condition that it reaches its end or a `continue`."""
         if isinstance(loop, stmt.For):
             assert element is not None
             self.take(loop, element)
@@ -291,7 +303,9 @@ class SymbolicFrame:
         self.temps.update(zip(loop.names, parts, strict=True))
 
     def search(self, loop: stmt.For, over: IterationDomain) -> Term:
-        """Encode a loop whose turns change nothing: the first element that leaves the loop decides."""
+        """Encode a loop as a search: the first element at which the loop is left decides the result.
+
+        The iterations of such a loop change no variable that a later iteration reads."""
         context, start = self.context, self.snapshot()
         found, first = context.new("found", t.BOOL), context.new(loop.names[0].split("@")[0], t.INT)
         path, depth = context.path, len(context.path)
@@ -331,7 +345,10 @@ class SymbolicFrame:
         return t.not_(found)
 
     def demanded(self, loop: stmt.For, over: IterationDomain, found: Term, first: Term, start: Env) -> None:
-        """Demand that each turn that runs has a value: those up to and including the one that leaves the loop."""
+        """Demand that every operation has a value in each iteration that runs.
+
+        The iterations that run are those up to the one that leaves the loop, inclusive; all of them if none leaves the
+        loop."""
         any_ = self.context.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
         self.looked_at(any_, over, not self.brief)
         taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
@@ -344,12 +361,13 @@ class SymbolicFrame:
     def cut(self, loop: Loop, over: IterationDomain | None) -> Term:
         """Encode a loop by a cut at its head.
 
-        What the turns write is havocked and constrained by the facts there. One turn from there leads to `back`. If
-        there is no further turn, the loop has ended."""
+        The loop-carried variables are havocked at the head, then constrained by the facts that hold there. One
+        iteration is executed from this arbitrary state; its end is recorded in `back`. The code after the loop starts
+        from the same arbitrary state, in which the loop has no further iteration."""
         context, index = self.context, None
         if self.now is not None:
             line = loop.span.line
-            context.note(f"line {line}: only invariants and facts about turns are known of what the loop writes")
+            context.note(f"line {line}: only invariants and facts about iterations are known of what the loop writes")
         if over is not None:
             self.count(loop, over.start)
         kept = tuple(loop_carried(loop))
@@ -375,7 +393,8 @@ class SymbolicFrame:
         start = self.snapshot()
         with context.under(condition):
             live = self.run(loop, element)
-            if live is not t.FALSE or has_next_turn(loop):  # `count.py` folds no constants, so it decides by the latter
+            # `count.py` does not fold constants: for equal counts, the syntax decides here, too
+            if live is not t.FALSE or has_next_turn(loop):
                 if over is not None:
                     assert index is not None
                     self.count(loop, t.add(index, t.integer(over.step)))
@@ -388,14 +407,18 @@ class SymbolicFrame:
         return t.not_(condition)
 
     def looked_at(self, index: Term, over: IterationDomain, told: bool) -> None:
-        """Instantiate universals over robots or places at this index if `told`, else never."""
+        """Register an index for the instantiation of universal formulas.
+
+        If `told` is false, exclude the index from instantiation instead."""
         if told:
             self.context.element(index, over.robots, over.places)
         else:
             self.context.ignored.add(index)
 
     def count(self, loop: Loop, index: Term) -> None:
-        """Set the variable of a loop over numbers to its next value, as the loop's invariants read it."""
+        """Set a loop's variable to its next value, since the loop's invariants read it before each iteration.
+
+        This applies only to loops over numbers."""
         if isinstance(loop, stmt.For) and isinstance(loop.values, (ir.Range, ir.Ids)):
             self.temps[loop.names[0]] = index
 
@@ -415,7 +438,9 @@ class SymbolicFrame:
         self.temps = {key[1]: value for key, value in env.items() if key[0] == "temp"}
 
     def merged(self, condition: Term, then: Env, orelse: Env) -> Env:
-        """Return what is written after either of two paths. A temp that only one of them declares is dropped."""
+        """Return the values where two paths meet: `then` if `condition` holds, otherwise `orelse`.
+
+        A local variable that only one of the paths declares is dropped."""
         found: Env = {}
         for key in {**then, **orelse}:
             if key[0] == "temp":
@@ -434,26 +459,29 @@ class SymbolicFrame:
         return state.of(key, self.pid)
 
     def writes(self) -> Env:
-        """Return what is written at the end, whichever path was taken. Call it after the block has run."""
+        """Return the values at the end of the effect, merged from all its exits.
+
+        Call this after the block has been executed."""
         env = self.snapshot()
         for left in self.exits:
             env = self.merged(t.all_of(left.path), left.env, env)
         return {key: value for key, value in env.items() if key[0] != "temp"}
 
 
-# Facts about the turns of a loop that is cut, which hold at its head by the semantics of loops alone. Each rule is
-# stated in docs/reference/semantics.md ("Loops") with the reason why it is sound. None needs an obligation. All of them
-# are satisfiable whatever the program does: by the values at loop entry, with no turn taken.
+# Facts about the iterations of a loop that is cut. They hold at the loop's head by the semantics of loops, whatever the
+# loop's block does, so they need no obligation. docs/reference/semantics.md ("Loops") states each rule with the reason
+# why it is sound. The facts never contradict one another: the values at loop entry, before any iteration, satisfy them.
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 
 def facts_of_turns(head: LoopHead, over: IterationDomain | None, index: Term | None, brief: bool) -> None:
-    """Add the facts known at a loop's head, before any turn or after the last one.
+    """Add the facts known at a loop's head, before an arbitrary iteration or after the last one.
 
-    `index`: the current place of a `for` in `over`. `brief`: add only the facts about possible places, about writes and
-    about counters."""
+    `over`: the domain of a `for`; None for a `while`.
+    `index`: the current position in this domain.
+    `brief`: add only the facts of the rules "places", "written" and "counted"."""
     turns = _Turns(head, over, index)
-    with turns.context.about(f"turns of the loop in line {head.loop.span.line}", head.loop.span.line):
+    with turns.context.about(f"iterations of the loop in line {head.loop.span.line}", head.loop.span.line):
         turns.places()
         turns.written()
         for key in head.kept:
@@ -482,7 +510,7 @@ class _Turns:
         self.context = self.now.context
         self.writes = LoopWrites(self.loop)
 
-    # Rule "places": the current place of a `for` is in its domain, or is the end of it.
+    # Rule "places": the current position of a `for` is in its domain, or is the end of the domain.
 
     def places(self) -> None:
         if self.over is None or self.index is None:
@@ -497,7 +525,9 @@ class _Turns:
             for fact in over.on_grid(index):
                 context.fact(fact)
 
-    # Rule "written": a variable that no turn has written has its value at loop entry.
+    # Rule "written": a cell or port that no iteration has written still has its value at loop entry. A cell or port
+    # that
+    # was written before the loop still counts as written.
 
     def written(self) -> None:
         for kind, name in self.head.kept:
@@ -508,8 +538,10 @@ class _Turns:
             same = self.same((kind, name))
             self.context.fact(t.or_(as_term(wrote), same))
 
-    # Rule "counted": a variable that only grows is never below its value at loop entry, and at most one step a turn
-    # above it. A variable that grows in each turn is exactly one step a turn above it.
+    # Rule "counted": a variable that is only ever increased is never below its value at loop entry. With one writing
+    # statement in a `for`, it is above that value by at most one step per iteration; by exactly one step if no
+    # iteration
+    # can skip the statement. The rule holds likewise for a variable that is only ever decreased.
 
     def counted(self, key: Key) -> None:
         writes = self.writes.of(key)
@@ -532,8 +564,9 @@ class _Turns:
         else:
             self.context.fact(t.at_most(now, most) if rises else t.at_most(most, now))
 
-    # Rule "last written": a variable with one writing statement has its value at loop entry, or the value that the
-    # statement gave it in an earlier turn.
+    # Rule "last written": a variable that one statement writes has its value at loop entry, or the value that the
+    # statement
+    # gave it in an earlier iteration.
 
     def last_written(self, group: Sequence[LoopWrite]) -> None:
         fixed = [write for write in group if self.writes.is_fixed(write.value, write.lets)]
@@ -548,8 +581,9 @@ class _Turns:
         kept = [self.same(write.key) for write in fixed]
         self.context.fact(t.or_(t.all_of(kept), t.all_of([self.over.passed(turn, self.index), *made, *held])))
 
-    # Rule "bounded": a variable that keeps the least value is at most its value at loop entry, and at most the value of
-    # any turn that ran.
+    # Rule "bounded": a variable that keeps the least value is at most its value at loop entry. It is also at most the
+    # value
+    # that the statement compared in each earlier iteration. The rule holds likewise for the greatest value.
 
     def bounded(self, bound: RunningExtreme) -> None:
         write = bound.write
@@ -570,7 +604,9 @@ class _Turns:
 
         self.context.for_all(instance, over.robots, over.places)
 
-    # Rule "passed": the condition of a `while` held for each value that its counter has left behind.
+    # Rule "passed": the condition of a `while` was true at the start of each earlier iteration, so it held for each
+    # earlier
+    # value of the loop's counter.
 
     def passed(self, write: LoopWrite) -> None:
         step = step_of(write)
@@ -614,13 +650,13 @@ class _Turns:
         finally:
             self.writes.changed = changed
 
-    # Parts of the rules
+    # Operations that the rules share
 
     def name(self) -> str:
         return self.loop.names[0].split("@")[0] if isinstance(self.loop, stmt.For) else "turn"
 
     def at(self, turn: Term, lets: Sequence[stmt.Let]) -> SymbolicFrame:
-        """Return a frame with the values in one turn of variables that depend only on the turn's element."""
+        """Return a frame for one iteration: it sets the variables that depend only on the iteration's element."""
         assert self.over is not None and isinstance(self.loop, stmt.For)
         frame = self.before.place().frame
         frame.take(self.loop, self.over.element(turn))
@@ -630,14 +666,14 @@ class _Turns:
         return frame
 
     def value(self, node: ir.Expr, frame: SymbolicFrame) -> Val:
-        """Return the value of an expression without demanding that it has one."""
+        """Return the value of an expression, and discard the demands that it has a value."""
         with self.context.outermost(), self.context.separate_demands():
             return frame.e.value(node, frame)
 
     def guards(
         self, guards: Sequence[tuple[ir.Expr, bool]], lets: tuple[stmt.Let, ...], frame: SymbolicFrame
     ) -> list[Term]:
-        """Return those of the conditions that depend only on the turn's element, as terms that hold."""
+        """Return the conditions that depend only on the iteration's element, as terms that are true."""
         fixed = [(guard, held) for guard, held in guards if self.writes.is_fixed(guard, lets)]
         terms = [(as_term(self.value(guard, frame)), held) for guard, held in fixed]
         return [term if held else t.not_(term) for term, held in terms]

@@ -1,7 +1,7 @@
 """Symbolic values of Koord's types: a term, a tuple of parts, or a collection.
 
-A collection records how it was built, so that its length and elements can be derived on demand. Axioms about lists are
-never needed.
+A collection records how it was built, so that its length and elements are derived when they are needed. Therefore the
+encoding needs no axioms about lists.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from koordgen.verify.prove.smt.term import Sort, Term
 
 
 class OpaqueCollection(Node):
-    """Collection of which only its term is known."""
+    """Collection of which nothing but its term is known."""
 
     term: Term
     type: Type
@@ -39,7 +39,9 @@ class OpaqueCollection(Node):
 
 
 class EnumeratedCollection(Node):
-    """Collection of these elements; for a map, pairs. Sets and maps have no order here."""
+    """Collection that contains exactly `items`; for a map, pairs of key and value.
+
+    The order of the items means nothing for sets and maps."""
 
     items: tuple[Val, ...]
     type: Type
@@ -48,7 +50,7 @@ class EnumeratedCollection(Node):
 
 
 class ConditionalCollection(Node):
-    """One of two collections, by a condition."""
+    """Conditional collection: `then` if `condition` holds, otherwise `orelse`."""
 
     condition: Term
     then: Collection
@@ -59,7 +61,9 @@ class ConditionalCollection(Node):
 
 
 class UpdatedCollection(Node):
-    """Collection after an update of koordgen/lang/ir/builtins.py, such as "appended"."""
+    """Collection `base` after an update, such as "appended".
+
+    koordgen/lang/ir/builtins.py lists the updates."""
 
     update: str
     base: Collection
@@ -70,10 +74,12 @@ class UpdatedCollection(Node):
 
 
 class FleetValue(Node):
-    """One value per robot, as a whole.
+    """Values of one variable in all robots, as one value.
 
-    `slot` reads one robot's value; `name` identifies the variable and the state. `changed`: another such value, a
-    robot, and the only value in which it differs, that robot's."""
+    `name`: identifies the variable and the state.
+    `slot`: returns the value of one robot.
+    `changed`: (another FleetValue, robot, value) if this FleetValue differs from the other one in this robot's value
+        only."""
 
     name: str
     slot: Callable[[Term], Val]
@@ -92,7 +98,7 @@ def is_collection(type_: Type) -> bool:
 
 
 def pick(condition: Term, then: Val, orelse: Val) -> Val:
-    """Return one of two values of one type, by a condition."""
+    """Return `then` if the condition holds, otherwise `orelse`. Both have the same type."""
     if condition is t.TRUE or then is orelse:
         return then
     if condition is t.FALSE:
@@ -120,14 +126,16 @@ def pick(condition: Term, then: Val, orelse: Val) -> Val:
 
 
 def as_term(value: Val) -> Term:
-    """Return a value that is known to be a term."""
+    """Return a value that the caller knows to be a single term."""
     assert isinstance(value, (t.LiteralTerm, t.Apply, t.Op)), f"{value!r} is no term"
     return value
 
 
-# Koord's types as sorts: a type with parts is flattened, a value of variable length is one value of its own sort.
+# Sorts of Koord's types. A value of a type with parts is flattened into one term per part. A value without a fixed size
+# is one term of a sort of its own.
 
-Leaf = tuple[str, Sort]  # suffix of the symbol of one part of a value (".target.x"), and its sort
+# Leaf: a suffix such as ".target.x", which the symbol of one part of a value ends with, and the part's sort.
+Leaf = tuple[str, Sort]
 _PLAIN: dict[Type, Sort] = {INT: t.INT, FLOAT: t.REAL, BOOL: t.BOOL}
 _PARTS: dict[Type, tuple[tuple[str, Type], ...]] = {
     POINT: (("x", FLOAT), ("y", FLOAT), ("z", FLOAT)),
@@ -151,12 +159,13 @@ def parts_of(type_: Type) -> tuple[tuple[str, Type], ...] | None:
 def sort_of(type_: Type) -> Sort:
     """Return the sort of a type without parts.
 
-    Strings, maps of places, scans, extern types and collections have sorts of their own, named like the type."""
+    Strings, maps of places, scans, extern types and collections each have an uninterpreted sort with the type's name.
+    """
     return _PLAIN.get(type_) or Sort(str(type_))
 
 
 def shape(type_: Type) -> tuple[Leaf, ...]:
-    """Return the leaves of a type, in the order in which its values are flattened."""
+    """Return the leaves of a type, in the order in which values of the type are flattened."""
     parts = parts_of(type_)
     if parts is None:
         return (("", sort_of(type_)),)
@@ -164,7 +173,7 @@ def shape(type_: Type) -> tuple[Leaf, ...]:
 
 
 def build(type_: Type, leaves: Iterator[Term]) -> Val:
-    """Return a value of a type, built from its leaves."""
+    """Return a value of a type, built from its flattened terms."""
     parts = parts_of(type_)
     if parts is not None:
         return tuple([build(part, leaves) for _, part in parts])

@@ -1,8 +1,8 @@
-"""Generator of proof obligations: the mission's start, each event, the environment's step.
+"""Generator of proof obligations: for the mission's start, each event, and the environment's step.
 
-Proof by induction. Base: the invariants hold when all robots have run `init`. Induction steps: each event of each robot
-preserves them, whatever others did earlier in the round; so does the environment's step, at each of its instants.
-docs/explanation/proofs.md argues that this suffices.
+The proof is by induction. Base case: the invariants hold when all robots have run `init`. Induction steps: each event
+of each robot preserves the invariants, whatever other robots did earlier in the round; so does the environment's step,
+at each of its instants. docs/explanation/proofs.md argues why these steps suffice.
 """
 
 from __future__ import annotations
@@ -40,14 +40,17 @@ from koordgen.verify.prove.smt.term import Term
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
 OF_TWO = "(two robots)"
-CONSISTENT = ("initially", "environment")  # consistency questions about the assumptions of every program
+# Names of the consistency questions that are asked about the assumptions of every program.
+CONSISTENT = ("initially", "environment")
 
 
 class Goal(NamedTuple):
-    """One goal of an invariant, in parts.
+    """One goal: an invariant, as conjuncts that must be proved.
 
-    At a loop's head, `at` identifies the head and the formula, and `place` is "entry" or "turn". Only what is known at
-    that place may be used: facts up to `position`, and `demands`."""
+    `at`: the loop head and the formula there, for a goal at a loop's head; None for other goals.
+    `place`: "entry" or "turn" (the end of an iteration), for a goal at a loop's head.
+    `position`: the goal may use only facts up to this position in the event.
+    `demands`: the goal may also use that these conditions hold."""
 
     invariant: str
     conjuncts: tuple[LabelledFormula, ...]
@@ -62,13 +65,16 @@ def obligations(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, detail: Detail = "usual",
     dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None,
 ) -> list[Obligation]:  # fmt: skip
-    """Return all obligations of a checked program, for `robots` robots or for any number of them.
+    """Return all obligations of a checked program.
 
-    Params have the values in `params`; the others are arbitrary. To drop or add an invariant, pass a program
-    without or with it. `dropped`: formulas that are not assumed at heads of loops. `detail`: how many of the known
-    facts about distances and the round are added. With "most", which is slower to solve, counterexamples satisfy
-    more of them; with "little" there are no cells. `event`: only the obligations of one event, of "init",
-    "(environment)" or a function."""
+    `robots`: the number of robots; None for any number.
+    `params`: the values of fixed params; all other params are arbitrary.
+    `detail`: how many of the known facts about distances and the round are added. "most" is slower to solve, but its
+    counterexamples satisfy more of the facts. "little" omits the cells, which counterexamples need.
+    `dropped`: formulas that are not assumed at heads of loops.
+    `event`: return only the obligations of this event, of "init", "(environment)" or a function.
+
+    To drop or add an invariant, pass a program without or with this invariant."""
     return [
         obligation
         for group in obligation_groups(program, robots, params, detail, dropped, event)
@@ -80,7 +86,9 @@ def obligation_groups(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, detail: Detail = "usual",
     dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None,
 ) -> Iterator[list[Obligation]]:  # fmt: skip
-    """Yield the obligations of `obligations` in groups. The obligations of one group share their facts."""
+    """Yield the obligations that `obligations` returns, in groups.
+
+    The obligations of one group share their facts."""
     t.forget()
     problem = ProofProblem(program, robots, params, detail, dropped)
     if event is None:
@@ -93,8 +101,9 @@ def obligation_groups(
 class Part(NamedTuple):
     """A part of a program whose obligations share their facts.
 
-    `write` encodes it. `invariants`: the names of those that have an obligation in it. `block`: the statements that
-    contain its loops."""
+    `write`: encodes the part and returns its obligations.
+    `invariants`: names of the invariants that have an obligation in this part.
+    `block`: the statements that contain the part's loops."""
 
     kind: Kind
     name: str
@@ -105,7 +114,7 @@ class Part(NamedTuple):
 
 
 def parts(problem: ProofProblem) -> Iterator[Part]:
-    """Yield the parts of a program in the order in which their obligations are asked."""
+    """Yield the parts of a program, in the order in which the solver is asked about them."""
     program, names = problem.program, tuple([p.name for p in problem.invariants])
     for function in functions_with_invariants(program):
         write = partial(of_function, problem, function)
@@ -126,7 +135,8 @@ def parts(problem: ProofProblem) -> Iterator[Part]:
 def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
     """Return the obligations of a part.
 
-    If its formulas are too large, they have no formulas but exist, unproved."""
+    If the part's formulas are too large, each of its obligations is returned without formulas, so that it stays
+    unproved."""
     t.count_anew()
     try:
         return part.write()
@@ -145,9 +155,9 @@ def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
 
 
 def _too_large(problem: ProofProblem, name: str, invariant: str, kind: Kind, part: Part, reason: str) -> Obligation:
-    """Return an obligation whose formulas are too large.
+    """Return an obligation for a part whose formulas are too large.
 
-    Its goal is false, so that no solver can prove it."""
+    Its goal is false, so that no solver can prove the obligation."""
     path, robots = problem.program.path, problem.robots
     goal = None if kind == "consistency" else LabelledFormula(invariant, t.FALSE, path, part.line)
     expected: Literal["sat", "unsat"] = "sat" if goal is None else "unsat"
@@ -167,13 +177,13 @@ def _named_at_head(invariant: str, kind: Kind, event: str, line: int, place: str
 def assumptions(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None
 ) -> list[Obligation]:
-    """Return the obligations that ask whether the assumptions are satisfiable."""
+    """Return the obligations that ask whether the assumptions of a program are satisfiable."""
     t.forget()
     return consistency(ProofProblem(program, robots, params, "little"))
 
 
 def consistency(problem: ProofProblem) -> list[Obligation]:
-    """Return the consistency obligations of every program, which ask about its assumptions alone."""
+    """Return the consistency obligations of every program: they ask about its assumptions alone."""
     asked = [(name, False) for name in CONSISTENT]
     assumed = [a.formula for module in problem.program.modules for a in module.assumptions]
     if problem.robots is None and any(isinstance(node, ir.Pid) for node in walk(tuple(assumed))):
@@ -208,7 +218,9 @@ def of_function(problem: ProofProblem, function: decl.Function) -> list[Obligati
 
 
 def of_init(problem: ProofProblem) -> list[Obligation]:
-    """Return the obligations of one robot's `init`: it has a result, and its loop invariants hold."""
+    """Return the obligations of one robot's `init`.
+
+    All operations of `init` must have values, and its loop invariants must hold."""
     part_encoder, program = PartEncoder(problem), problem.program
     launch = LaunchState(part_encoder)
     run = InitRun(part_encoder, launch, part_encoder.context.acting("pid"))
@@ -279,10 +291,12 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
 
 
 def assume_guard(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame) -> None:
-    """Assume that the guard holds if all of it has a value.
+    """Assume that an event's guard is true, provided that all its operations have values.
 
-    Without that condition, the guard could prove that its own operations have values. The parts before the first such
-    operation are learned without it."""
+    Without this proviso, the guard could prove that its own operations have values, which would be circular. The
+    conjuncts before the first operation that may have no value need no proviso: terms built later use the values that
+    they give.
+    """
     context = part_encoder.context
     parts: list[Term] = []
     for part in conjuncts(guard):
@@ -294,9 +308,9 @@ def assume_guard(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame
 
 
 def environment(problem: ProofProblem) -> list[Obligation]:
-    """Return the environment step's obligations.
+    """Return the obligations of the environment's step.
 
-    Each invariant may use that earlier ones hold after the step."""
+    The obligation of an invariant may use that earlier invariants hold after the step."""
     part_encoder = PartEncoder(problem)
     now = ArbitraryState(part_encoder.context, problem.types)
     after = HavockedState(now, ArbitraryState(part_encoder.context, problem.types, "@after"), problem.sensors)
@@ -313,16 +327,18 @@ def environment(problem: ProofProblem) -> list[Obligation]:
 
 
 def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obligation:
-    """Ask whether the assumptions are satisfiable.
+    """Return an obligation that asks whether assumptions are satisfiable.
 
-    They are those at the mission's start (params, sensors, spec functions, contracts and answers of callable ports), or
-    those of a step of the environment within the invariants. `of_two`: in a fleet of at least two robots, since
-    assumptions that read `pid` may contradict one another for robot 1 but not for robot 0."""
+    `name` selects the assumptions: those at the mission's start (params, sensors, spec functions, contracts and answers
+    of callable ports), or those about a step of the environment from a state in which the invariants hold.
+    `of_two`: ask about fleets of at least two robots. Assumptions that read `pid` may contradict one another for robot
+        1,
+    although they do not for robot 0."""
     part_encoder = PartEncoder(problem, thorough=True)
     context = part_encoder.context
     context.robot(t.integer(0), known=True)
     if of_two:
-        context.fact(t.at_most(t.integer(2), context.size), "there are two robots")
+        context.fact(t.at_most(t.integer(2), context.size), "the fleet has at least two robots")
         context.robot(t.integer(1), known=True)
     if name == "initially":
         launch = LaunchState(part_encoder)
@@ -343,7 +359,9 @@ def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obliga
 
 
 def at_heads(part_encoder: PartEncoder, heads: Sequence[LoopHead]) -> list[Goal]:
-    """Return the goals of the formulas assumed at heads: they hold at entry, and turns preserve them."""
+    """Return the goals of the formulas that are assumed at loop heads.
+
+    Each formula must hold at loop entry, and each iteration must preserve it."""
     loops = part_encoder.problem.loops
     found = []
     for head in heads:
@@ -361,7 +379,7 @@ def at_heads(part_encoder: PartEncoder, heads: Sequence[LoopHead]) -> list[Goal]
 
 
 class _Output:
-    """Builder of the obligations of one part, which share its facts."""
+    """Builder of the obligations of one part. These obligations share the part's facts."""
 
     def __init__(
         self,
@@ -386,10 +404,11 @@ class _Output:
         demands: Sequence[LabelledFormula],
         ended: tuple[LabelledFormula, ...],
     ) -> list[Obligation]:
-        """Return one obligation per goal, and one that every operation has a value.
+        """Return one obligation per goal, and one that all operations have values.
 
-        Goals may assume the latter: an event in which an operation has no value is discarded and changes nothing.
-        `ended`: that the effect has reached its end; it is not assumed at a loop's head."""
+        Each goal may assume that all operations have values: an event with an operation without a value is discarded
+        and changes nothing. `ended`: the condition that the effect has reached its end. Goals at a loop's head do not
+        assume it."""
         found = []
         for wanted in goals:
             if wanted.at is None:
@@ -406,7 +425,7 @@ class _Output:
     def one(self, name: str, wanted: Goal, kind: Kind | None, assumed: tuple[LabelledFormula, ...]) -> Obligation:
         program, conjuncts = self.part_encoder.problem.program, wanted.conjuncts
         self.names[name] += 1
-        if self.names[name] > 1:  # a loop within an unrolled one
+        if self.names[name] > 1:  # the loop is inside an unrolled loop, so the name occurred before
             name = f"{name}-{self.names[name]}"
         goal = None
         if self.kind != "consistency":
@@ -422,15 +441,17 @@ class _Output:
         )  # fmt: skip
 
     def satisfiable(self, name: str, assumed: tuple[LabelledFormula, ...]) -> Obligation:
-        """Ask whether the event can reach its end under the assumptions about the calls on its path."""
+        """Return an obligation that asks whether the event can reach its end.
+
+        The facts include the assumptions about the event's calls."""
         found = self.one(name, Goal("", ()), "consistency", assumed)
         return replace(found, goal=None, expected="sat")
 
     def before(self, wanted: Goal) -> tuple[LabelledFormula, ...]:
         """Return the facts that a goal may use.
 
-        Not among them: facts from later points of the event, and facts that this invariant, or a later one, holds after
-        the environment's step."""
+        Two kinds of facts are left out: those from later points of the event; and those that state, after the
+        environment's step, the goal's own invariant or a later one."""
         names = [p.name for p in self.part_encoder.problem.invariants]
         if wanted.invariant in names:
             names = names[names.index(wanted.invariant) :]

@@ -23,7 +23,7 @@ _NAMES = ("i", "j", "k", "l", "m")
 def goal(
     part_encoder: PartEncoder, property_: decl.Property, state: SymbolicState, guard: Term = t.TRUE
 ) -> tuple[LabelledFormula, ...]:
-    """Return the parts of a property of a state, each under the condition `guard`."""
+    """Return a property of a state as conjuncts to prove, each under the condition `guard`."""
     said = part_encoder.problem.mentions[property_.name]
     cells = not isinstance(state, UpdatedState) or any(k[0] == "cell" and k in said for k in state.writes)
     bystanders = cells or not _names_robots(property_.formula, frozenset())
@@ -35,7 +35,7 @@ def goal(
 def goal_at(
     part_encoder: PartEncoder, name: str, formula: ir.Expr, scope: Scope, guard: Term
 ) -> tuple[LabelledFormula, ...]:
-    """Return the parts of a formula at a point of an event or function, under the condition `guard`."""
+    """Return a formula at a program point as conjuncts to prove, each under the condition `guard`."""
     return _parts(_Goals(part_encoder, name, scope, True), formula, guard)
 
 
@@ -50,10 +50,11 @@ def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[LabelledFormul
 
 
 class _Goals:
-    """Builder of the parts of a goal.
+    """Builder that splits a goal into conjuncts.
 
-    After an event, each robot variable is the acting robot or another one. If none is the acting robot, and the formula
-    reads no shared variable, the part is unchanged since before the event and need not be shown."""
+    For a goal after an event, each quantified robot is either the acting robot or another one; both cases become
+    conjuncts. A conjunct about other robots only, with no shared variable, has not changed since before the event. It
+    need not be shown."""
 
     def __init__(self, part_encoder: PartEncoder, name: str, scope: Scope, bystanders: bool) -> None:
         self.part_encoder, self.context, self.name = part_encoder, part_encoder.context, name
@@ -86,16 +87,17 @@ class _Goals:
                 )
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:
-        """Return whether no robot is the acting one.
+        """Return whether none of the robots is the acting robot.
 
-        Where robots are numbers, any of them may be the acting one."""
+        If robots are numbers, the answer is False, since any of them may be the acting robot."""
         by_name = self.context.robots is None and self.context.own is not None
         return by_name and not self.bystanders and self.context.own not in robots
 
     def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
-        """Yield one term for any robot; if their number is known, each number.
+        """Yield the terms for a quantified robot, each with the condition that it is a robot.
 
-        `more`: another quantifier follows."""
+        If the number of robots is known, the terms are all pids. Otherwise they are the acting robot and one arbitrary
+        other robot. `more`: another quantifier follows directly."""
         context = self.context
         if context.robots is not None:
             yield from [(t.integer(i), t.TRUE) for i in range(context.robots)]
@@ -124,7 +126,7 @@ class _Goals:
 
 
 def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
-    """Return whether all reads of robots' variables use the variables of outer quantifiers."""
+    """Return whether a formula reads robots' variables only at the variables of its outer quantifiers."""
     match formula:
         case ir.Logic("and", left, right):
             return _names_robots(left, variables) and _names_robots(right, variables)

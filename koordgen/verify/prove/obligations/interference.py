@@ -1,8 +1,9 @@
-"""Interference: changes by other robots in a round before an event.
+"""Interference: changes that other robots made in the round before an event.
 
-Each robot runs at most one event a round. So what only robot j writes is as it was at the round's start, or the guard
-of an event that writes it held for j then. For a plain event and detail "most", it is also the value that the event
-computes from the round's start.
+Each robot runs at most one event per round. So for a variable that only robot j writes, there are two cases: it has its
+value at the round's start, or robot j ran an event that writes the variable. In the second case this event's guard held
+for j. With detail "most", the variable then also has the value that the event computes from the state at the round's
+start. This holds only for events without a lock, a loop, an answer of a port or an extern function.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now: SymbolicState) -> None:
-    """Assume for the other robots how their slots and locals may differ from the round's start."""
+    """Assume how the slots, locals and cleared sensors of other robots may differ from the round's start."""
     context, program = part_encoder.context, part_encoder.problem.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in part_encoder.problem.types if key[0] in ("local", "slot")]
@@ -56,15 +57,16 @@ def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now:
             parts.append(t.or_(same, *ran))
         return t.implies(t.and_(context.within(robot), t.not_(acting)), t.all_of(parts))
 
-    with context.about("one event a round", 0):
+    with context.about("each robot runs at most one event per round", 0):
         context.for_all(instance, inner=True)
 
 
 def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Term:
-    """Return the parts of an event's guard that held at the round's start.
+    """Return the condition at the round's start under which `robot` may run the event in this round.
 
-    They held for a robot that runs the event in the round. A transaction sees what others wrote since, so only the
-    parts about the robot's own variables count. The guards of events with priority over it were false."""
+    The condition includes that the guards of events with priority over this one are false. A transaction (an event with
+    a lock) reads what other robots wrote since the round's start. So only those conjuncts of its guard count that read
+    the robot's own variables."""
     frame = SymbolicFrame(part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.know)
     parts = []
     with part_encoder.context.separate_demands():
@@ -77,10 +79,11 @@ def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event
 
 
 def _is_functional(event: decl.Event, program: decl.Program) -> bool:
-    """Return whether an event's writes are a function of what the robot saw at the round's start.
+    """Return whether an event's writes are a function of what the robot read at the round's start.
 
-    Not so for a transaction, a port's answer, or a loop; nor with extern functions, even within functions, since their
-    contracts hold only where the call is made."""
+    This is not so for a transaction, for an event that uses a port's answer, or for an event with a loop. It is not so
+    for extern functions either, also if a function calls them: their contracts are known only where the call is made.
+    """
     unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
     bodies = tuple([f.block for f in program.functions])
     calls = any(isinstance(n, ir.ExternCall) for n in walk(bodies))

@@ -1,8 +1,9 @@
-"""Loop invariants: which formulas are assumed at which loop's head, decided from the IR alone.
+"""Loop invariants: the formulas that are assumed at each loop's head, chosen from the IR alone.
 
-Formulas that a program states at a loop's head are always assumed there, unless one was found not to hold. The
-program's own invariants that mention a loop-carried variable are candidates: they are assumed until they fail.
-Every formula assumed at a head is shown at loop entry and for each turn (docs/reference/semantics.md).
+Two kinds of formulas are assumed. Invariants that the program states at the loop are assumed unless one was found not
+to hold. The program's global invariants are candidates if they mention a loop-carried variable: they are assumed until
+they fail. Every formula assumed at a head has obligations: at loop entry and after each iteration
+(docs/reference/semantics.md).
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ INIT = "init"
 
 
 class LoopInvariants:
-    """Loop invariants of one program. `dropped`: formulas that were found not to hold at a head."""
+    """Loop invariants of one program.
+
+    `dropped`: formulas that were found not to hold at a loop's head."""
 
     def __init__(
         self, program: decl.Program, mentions: Mapping[str, frozenset[Key]], known: Mapping[str, ir.Expr],
@@ -48,9 +51,9 @@ class LoopInvariants:
                 yield at, invariant.formula
 
     def candidates(self, loop: Loop) -> Iterator[tuple[HeadFormula, decl.Property]]:
-        """Yield the program's invariants that mention a loop-carried variable, as candidates.
+        """Yield the program's global invariants that mention a loop-carried variable, as candidates.
 
-        In `init` they are stated about the robot itself."""
+        In `init`, such an invariant is stated about the acting robot itself."""
         owner, number = self.number[id(loop)]
         if owner not in self.events and owner != INIT:
             return
@@ -66,7 +69,7 @@ class LoopInvariants:
 
 
 def blocks(program: decl.Program) -> Iterator[tuple[str, stmt.Block]]:
-    """Yield the blocks of a program with their owners: events, `init`, functions."""
+    """Yield the blocks of a program, each with the name of its event, `init` or function."""
     yield from ((event.name, event.effect) for event in program.events)
     yield INIT, program.init
     yield from ((function.name, function.block) for function in program.functions)

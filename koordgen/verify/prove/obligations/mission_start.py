@@ -1,7 +1,9 @@
-"""Mission start: initial values, actuators at hold, then every robot's `init`.
+"""Mission start: variables have their initial values, actuators hold, then every robot runs `init`.
 
-A mission begins when every robot's `init` has ended. Invariants at its start are therefore shown only for fleets in
-which no `init` was discarded. The obligation `(well-defined)` shows that none is discarded."""
+A mission begins when every robot's `init` has ended. If the semantics discards the `init` of a robot, no mission
+begins. So invariants at the start are shown only for fleets in which every `init` has a result. The separate obligation
+`(well-defined)` shows that no `init` is discarded.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
-    """Return the variables after an event: those that it wrote, and the sensors that its commands clear."""
+    """Return the variables after an event: those that it wrote, and the sensors that its commands clear.
+
+    A command clears a sensor by setting it to false."""
     found = {key: value for key, value in writes.items() if key[0] != "wrote"}
     commands: dict[Key, list[Term]] = {}
     for actuator, cleared in clears(program).items():
@@ -35,10 +39,12 @@ def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicStat
 
 
 class LaunchState:
-    """State before any `init`.
+    """State before any robot has run `init`.
 
-    Sensors are arbitrary, except that those that commands clear are true. An actuator that holds at a sensor has the
-    sensor's value (any, if the program does not declare it), any other its default."""
+    - Each sensor is arbitrary, except that a sensor which commands clear is true.
+    - An actuator that holds at a sensor's value has this value; an arbitrary value if the program does not declare the
+      sensor.
+    - Any other actuator has its default value."""
 
     state_name = "@launch"
 
@@ -71,7 +77,11 @@ class LaunchState:
 
 
 class InitRun:
-    """One robot's `init`: its writes, and the condition `ended` that it has a result."""
+    """Run of one robot's `init`.
+
+    `env`: the values that `init` wrote.
+    `writes`: these values, and the sensors that the commands of `init` clear.
+    `ended`: the condition that `init` reaches its end and all its operations have values."""
 
     def __init__(self, part_encoder: PartEncoder, launch: LaunchState, robot: Term) -> None:
         context, init = part_encoder.context, part_encoder.problem.program.init
@@ -95,9 +105,9 @@ class InitRun:
 
 
 class StartState:
-    """State after every robot's `init`.
+    """State after every robot has run `init`.
 
-    If several robots write an allwrite variable, the highest pid wins."""
+    If several robots write the same allwrite variable, the write of the robot with the highest pid counts."""
 
     state_name = "@ready"
 
@@ -147,7 +157,7 @@ class StartState:
 
 
 def _named(block: stmt.Block) -> set[int]:
-    """Return the numbers with which a block compares `pid`."""
+    """Return the literals with which a block compares `pid`."""
     pairs = [(n.left, n.right) for n in walk(block) if isinstance(n, ir.Compare)]
     pairs += [(right, left) for left, right in pairs]
     return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}

@@ -25,18 +25,24 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, StateCell, StateName
 from koordgen.verify.prove.smt.term import Term
 
-# How many of the known facts are added. "little" suffices for most proofs; "most" adds all, which solvers find hard.
-# Counterexamples satisfy the facts of "usual" or "most".
+# Number of known facts that are added. "little" suffices for most proofs. "most" adds all facts, but solvers need long
+# to process them. Counterexamples satisfy the facts of "usual" or "most".
 Detail = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
-CHOICES = 16  # most combinations of values at which an axiom is instantiated to check axioms against one another
-UNROLLED, PAIRED = 20, 4  # most robots that are named by numbers; the same if formulas quantify over pairs of robots
+# Largest number of value combinations at which an axiom is instantiated when axioms are checked against one another.
+CHOICES = 16
+# Largest number of robots that are named by numbers. PAIRED applies if formulas quantify over pairs of robots, UNROLLED
+# otherwise.
+UNROLLED, PAIRED = 20, 4
 
 
 class ProofProblem:
-    """Proof problem: a program, its number of robots (None: any), and fixed params.
+    """Proof problem: a program, its number of robots, and its fixed params.
 
-    `detail`: how many of the known facts are added. `dropped`: formulas that do not hold at heads of loops."""
+    `robots`: the number of robots; None for any number.
+    `params`: the values of fixed params; all other params are arbitrary.
+    `detail`: how many of the known facts are added.
+    `dropped`: formulas that were found not to hold at heads of loops."""
 
     def __init__(
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
@@ -65,22 +71,24 @@ class ProofProblem:
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
         """Return the invariants that mention one of these variables.
 
-        Frame condition: the others stay unchanged."""
+        An event that writes only these variables preserves all other invariants (frame condition), so they have no
+        obligation."""
         return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
 class PartEncoder:
-    """Encoder of one part of a program, for one obligation or several that share their facts."""
+    """Encoder of one part of a program. The part's obligations share the encoder's facts."""
 
     def __init__(self, problem: ProofProblem, thorough: bool = False) -> None:
-        """Begin a part. `thorough`: add all facts about distances, whatever the problem's detail."""
+        """Begin to encode a part. `thorough` adds all facts about distances, whatever the problem's detail."""
         self.thorough = thorough or problem.detail == "most"
         program = problem.program
         self.problem = problem
         self.brief = problem.detail == "little"
         self.context = ProofContext(program, problem.robots, problem.unrolled)
         self.params: dict[str, Val] = {}
-        self.looked: dict[int, int] = {}  # id of an axiom's trigger -> number of calls at which it was instantiated
+        # id of an axiom's trigger -> number of calls at which the axiom was already instantiated
+        self.looked: dict[int, int] = {}
         self.functions = Functions(self.context, self.params, self.know, self.brief and not thorough)
         self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
@@ -96,10 +104,12 @@ class PartEncoder:
         name = symbol(param.name)
         return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
 
-    # What is assumed
+    # Assumptions
 
     def rigid(self, formula: ir.Expr) -> None:
-        """Assume for good the parts of an `initially` formula that read params alone."""
+        """Assume, for all states, those parts of an `initially` formula that read params only.
+
+        Params never change, so such a part holds in every state."""
         for part in conjuncts(formula):
             if not any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                        for n in walk(part)):  # fmt: skip
@@ -109,14 +119,18 @@ class PartEncoder:
     def holds(
         self, properties: Iterable[decl.Property], state: SymbolicState, guard: Term = t.TRUE, when: str = ""
     ) -> None:
-        """Assume properties of a state, under the condition `guard`."""
+        """Assume properties of a state, under the condition `guard`.
+
+        `when` is appended to the label of each fact."""
         for property_ in properties:
             label = f"{property_.kind} {property_.name}".strip() + when
             with self.context.about(label, property_.span.line):
                 self.assume(property_.formula, FleetScope(state), guard)
 
     def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
-        """Add a formula as a fact under the condition `guard`. A universal formula is instantiated later."""
+        """Add a formula as a fact under the condition `guard`.
+
+        A universal formula is registered, and instantiated later."""
         match formula:
             case ir.Logic("and", left, right):
                 self.assume(left, scope, guard)
@@ -145,10 +159,11 @@ class PartEncoder:
                 self.context.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
     def know(self, head: LoopHead) -> None:
-        """Assume the formulas at a loop's head: before each turn and after the last one, from the head on.
+        """Assume the formulas at a loop's head, for all program points after the head.
 
-        SOUND: only for indices that name robots. The formulas contain an `init` also of an index that names none, of
-        which nothing may be assumed."""
+        The formulas hold before each iteration and after the last one.
+        SOUND: they are assumed only for pids of robots. At the mission's start, `init` is encoded for int terms that
+        may not be pids; nothing may be assumed about the result of such an encoding."""
         loops, place, own = self.problem.loops, head.turn, head.turn.frame.pid
         in_event = place.frame.now is not None
         reached = t.and_(place.reached, self.context.within(own)) if in_event else place.reached
@@ -167,10 +182,10 @@ class PartEncoder:
                     self.assume(formula, scope, reached)
 
     def at_head(self, at: HeadFormula, property_: decl.Property, state: UpdatedState) -> tuple[ir.Expr, FleetScope]:
-        """Return an invariant as it is assumed at a loop's head.
+        """Return an invariant as it is assumed at a loop's head, with the scope for its names.
 
-        In an event it is stated as if the event ended there. In `init` it is stated about the robot itself, since the
-        others may or may not have run theirs."""
+        In an event, the invariant is stated about the state as if the event ended at the head. In `init`, it is stated
+        about the acting robot itself, since other robots may or may not have run their `init` yet."""
         scope, formula = FleetScope(state), property_.formula
         while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
             if not isinstance(formula.domain, ir.Ids):
@@ -180,7 +195,7 @@ class PartEncoder:
         return formula, scope
 
     def ports(self, before: SymbolicState, after: SymbolicState) -> None:
-        """Assume each module's assumptions, for every robot, about a step of the environment."""
+        """Assume each module's assumptions about one step of the environment, for every robot."""
         for module in self.problem.program.modules:
             for assumption in module.assumptions:
                 with self.context.about(f"assume of {module.name}", assumption.span.line):
@@ -199,7 +214,7 @@ class PartEncoder:
             self.context.for_all(instance)
 
     def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: SymbolicState) -> None:
-        """Assume what the program assumes of a callable port's answer, for the goals with which it was called."""
+        """Assume the program's assumptions about a callable port's answer, for the arguments of this call."""
         name = f"{port.module}.{port.port}"
         for module in self.problem.program.modules:
             for assumption in module.assumptions if module.name == port.module else ():
@@ -207,9 +222,9 @@ class PartEncoder:
                     self._of_answer(part, port, args, RobotScope(state, state, pid, {(name, args): answer}))
 
     def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: RobotScope) -> None:
-        """Assume one formula about an answer, if it is about the time of the call.
+        """Assume one formula about a port's answer, if the formula is about the time of the call.
 
-        A formula with primed ports or actuators is about a later instant, when these may have other values."""
+        A formula with primed ports or actuators is about a later time, when these ports may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
         reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
         ports = {("port", f"{n.module}.{n.port}") for n in reads}
@@ -223,10 +238,10 @@ class PartEncoder:
             try:
                 self.context.fact_if_reached(self.encoder.defined(part, scope))
             except (UnknownAnswer, KeyError):
-                return  # the formula mentions other goals, too
+                return  # the formula calls the port with other arguments, too, and those answers are unknown
 
     def any_answers(self, state: SymbolicState) -> None:
-        """Assume an answer of each callable port that has assumptions, for arbitrary goals."""
+        """Assume that each callable port with assumptions gives an answer, for arbitrary arguments."""
         for module in self.problem.program.modules:
             for assumption in module.assumptions:
                 for call, _ in decl.handed(assumption.formula):
@@ -235,10 +250,10 @@ class PartEncoder:
                     self.answered(call, args, answer, t.integer(0), state)
 
     def any_axioms(self) -> None:
-        """Instantiate each axiom about all values at two arbitrary values of each type.
+        """Instantiate each axiom at two arbitrary values of each type.
 
-        The values are the same for all axioms, so that axioms can contradict one another. SOUND: these are some of the
-        instances."""
+        All axioms use the same values, so that a contradiction between axioms becomes visible. SOUND: an axiom holds
+        for all values, so it holds for these."""
         values: dict[Type, tuple[Val, Val]] = {}
         for axiom, free, _ in self.problem.axioms:
             for type_ in free.values():
@@ -251,7 +266,7 @@ class PartEncoder:
                     self.context.fact(self.encoder.defined(axiom.formula, scope))
 
     def any_contracts(self) -> None:
-        """Assume a call of each extern function, for arbitrary arguments, with a result."""
+        """Assume that a call of each extern function has a result, for arbitrary arguments."""
         for function in self.problem.program.externs:
             args = tuple([self.context.any(p.name.split("@")[0], p.type) for p in function.parameters])
             result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
@@ -263,7 +278,7 @@ class PartEncoder:
                     self.context.fact(formula, line=line)
 
     def is_assumed_of_calls(self, fact: LabelledFormula) -> bool:
-        """Return whether a fact is an assumption about a function or a port that an event calls."""
+        """Return whether a fact is an assumption about a function or a callable port that an event calls."""
         return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:
@@ -276,7 +291,7 @@ class PartEncoder:
                     self._axiom(axiom, trigger)
 
     def _axiom(self, axiom: decl.Property, trigger: Trigger) -> None:
-        """Instantiate an axiom once at each call of its trigger."""
+        """Instantiate an axiom at each call of its trigger at which it was not yet instantiated."""
         met = self.encoder.calls.get(trigger.name, [])
         done = self.looked.get(id(trigger), 0)
         self.looked[id(trigger)] = len(met)
@@ -287,9 +302,10 @@ class PartEncoder:
             self.context.fact(self.encoder.defined(axiom.formula, scope))
 
     def close(self) -> tuple[LabelledFormula, ...]:
-        """Return all facts, after all goals are encoded.
+        """Return all facts of the part, after all its goals were encoded.
 
-        Lemmas about distances introduce new distances: for these, lemmas are added once, or twice if `thorough`."""
+        Lemmas about distances introduce new distances. For these, lemmas are added one more time, or two more times if
+        `thorough`."""
         for _ in range(3 if self.thorough else 2):
             many = len(self.context.facts)
             self.context.instantiate()
@@ -300,9 +316,9 @@ class PartEncoder:
         return tuple(self.context.facts)
 
     def cells(self, states: Iterable[tuple[StateName, SymbolicState]]) -> tuple[StateCell, ...]:
-        """Return the variables of the robots that occur, as terms, for counterexamples.
+        """Return the variables of all robots that occur, as terms. Counterexamples show their values.
 
-        None with detail "little"."""
+        With detail "little", the result is empty."""
         if self.brief:
             return ()
         lists, found = self.encoder.lists, []
@@ -318,24 +334,26 @@ class PartEncoder:
 
 
 class _Nowhere:
-    """No state: for formulas that read params alone."""
+    """Placeholder for a state, for formulas that read params only. Reading a variable is an error."""
 
     types: Mapping[Key, Type] = {}
     state_name = ""
 
     def of(self, key: Key, robot: Term) -> Val:
-        raise AssertionError(f"{key} where only params are read")
+        raise AssertionError(f"{key} is read where only params may be read")
 
 
 def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
-    """Return the free names of an axiom, and the calls in it whose arguments include all of them."""
+    """Return the free names of an axiom, and its triggers.
+
+    A trigger is a call in the axiom whose arguments include all free names."""
     free = decl.free(axiom)
     calls = [n for n in walk(axiom) if isinstance(n, (ir.Call, ir.ExternCall, ir.Builtin))] if free else []
     return free, [n for n in calls if free.keys() <= {a.name for a in n.args if isinstance(a, ir.TempRead)}]
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:
-    """Return whether a quantifier over robots stands within another one."""
+    """Return whether a formula has a quantifier over robots inside another quantifier over robots."""
     for node in walk(formula):
         if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
             return around or _pairs(node.body, True)

@@ -1,7 +1,8 @@
-"""Facts from `priority:` blocks for the obligations of an event.
+"""Facts from `priority:` blocks, for the obligations of an event.
 
-An event runs only if the guard of every earlier event of its block has a value and is false, evaluated on what the
-robot sees at the round's start: its own variables, ports and slots, which only this robot changes, and the store then.
+An event runs only if the guard of every earlier event of its block has a value and is false. The guards are evaluated
+on the state that the robot sees at the round's start: its own variables, ports and slots, which no other robot changes,
+and the shared store of that time.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from koordgen.verify.prove.smt.term import Term
 def assume_priority(
     part_encoder: PartEncoder, event: decl.Event, own: Term, now: SymbolicState, round_start: SymbolicState
 ) -> None:
-    """Assume that the earlier guards of the event's block have values and are false for the robot `own`.
+    """Assume that earlier events of the event's `priority:` block cannot run in the robot `own`.
 
-    `now` is the state in which the robot acts, `round_start` the state at the round's start."""
+    The guards of these events have values and are false.
+    `now`: the state in which the robot acts.
+    `round_start`: the state at the round's start."""
     context = part_encoder.context
     for earlier in part_encoder.problem.program.earlier(event):
         with context.about(f"guard of {earlier.name} (earlier, by priority)", earlier.guard.span.line):

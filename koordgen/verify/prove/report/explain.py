@@ -1,4 +1,4 @@
-"""Explanation of a failed obligation: counterexample, run to it, and strengthening."""
+"""Explanation of a failed obligation: a counterexample, a run to it, and a suggested strengthening."""
 
 from __future__ import annotations
 
@@ -25,20 +25,24 @@ from koordgen.verify.prove.smt.term import REAL, EncodingTooLarge, Term, equals,
 if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import ObligationResult
 
-FLEETS = (1, 2, 3, 4)  # sizes of fleets in which a counterexample is searched: fewer robots are easier to read
-QUERY_SECONDS = 1.0  # seconds of one query that proves nothing
-SEARCH_SECONDS = 4.0  # seconds of the search for a counterexample that can be shown
-STRENGTHENING_SECONDS = 1.0  # CPU seconds, with the solver's, of the search for a strengthening
+# Fleet sizes in which a counterexample is searched. Small fleets come first, since they are easier to read.
+FLEETS = (1, 2, 3, 4)
+QUERY_SECONDS = 1.0  # Limit in seconds for each query to the solver while a failure is explained.
+SEARCH_SECONDS = 4.0  # Limit in seconds for the search for a counterexample that the semantics can run.
+STRENGTHENING_SECONDS = 1.0  # Limit in CPU seconds, including the solver's, for the search for a strengthening.
 
 
 class FailureExplanation(NamedTuple):
     """Reason why an invariant is not proved.
 
-    `run` leads from an initial state to a state in which the invariant is false. Without a run, the counterexample is
-    one to induction only. `unshown`: why there is no counterexample although the solver claims one. `lacking`:
-    conjuncts that make the invariant inductive. `with_defaults`: it is proved with the params' values in the program.
-    `unassumed`: sensors without assumptions. If `supposed` is not empty, the invariant is proved with these assumptions
-    about them and the conjuncts in `lacking`."""
+    `counterexample`: a step that violates the invariant; None if none can be shown.
+    `run`: a run from an initial state to a state in which the invariant is false. If it is None, no run was found: then
+        the counterexample's first state may be unreachable, and it only shows that the invariant is not inductive.
+    `unshown`: the reason why there is no counterexample although the solver claims one.
+    `lacking`: conjuncts that would make the invariant inductive.
+    `with_defaults`: whether the invariant is proved if the params have their default values.
+    `unassumed`: sensors about which the program assumes nothing.
+    `supposed`: assumptions about these sensors with which, together with `lacking`, the invariant is proved."""
 
     counterexample: Counterexample | None
     run: CounterexampleRun | None
@@ -50,9 +54,7 @@ class FailureExplanation(NamedTuple):
 
 
 class Explainer:
-    """Explainer of failed obligations.
-
-    `proved` is the program with only the PROVED ones of its invariants."""
+    """Explainer of failed obligations. `proved` is the program without the invariants that are not PROVED."""
 
     def __init__(
         self,
@@ -68,7 +70,9 @@ class Explainer:
         self.made: dict[tuple[decl.Program, int, str, HeadFormula | None], list[Obligation]] = {}
 
     def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
-        """Explain why obligations of the invariant `name` fail. `relied` has the invariants that they assumed."""
+        """Explain why obligations of the invariant `name` fail.
+
+        `relied` is the program with the invariants that these obligations assumed."""
         try:
             return self._explained(name, group, relied)
         except EncodingTooLarge as error:
@@ -102,7 +106,7 @@ class Explainer:
         return FailureExplanation(shown, run, "", lacking or (), with_defaults)
 
     def holds_with_defaults(self, name: str, relied: decl.Program) -> bool:
-        """Return whether the invariant is proved with the params' values in the program."""
+        """Return whether the invariant is proved if the params have their default values."""
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
@@ -114,9 +118,9 @@ class Explainer:
         return self.params is None or param not in self.params
 
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
-        """Return a counterexample in the smallest fleet.
+        """Return a counterexample in the smallest possible fleet.
 
-        Raises Unshowable, with the first reason that was met."""
+        Raises Unshowable with the first reason why a counterexample could not be shown."""
         program = exact(relied)
         reasons: list[str] = []
         until = time.monotonic() + SEARCH_SECONDS
@@ -126,7 +130,9 @@ class Explainer:
                     continue
                 reader = ModelReader(same)
                 if time.monotonic() > until:
-                    raise Unshowable(f"{reasons[0] if reasons else 'none was found'}, within {SEARCH_SECONDS:g} s")
+                    raise Unshowable(
+                        f"{reasons[0] if reasons else 'no counterexample found'}, within {SEARCH_SECONDS:g} s"
+                    )
                 for answer in self.models(same, program, reader):
                     reader.answered(answer.values)
                     try:
@@ -135,14 +141,14 @@ class Explainer:
                     except Unshowable as error:
                         reasons.append(str(error))
                     except OutOfTime:
-                        reasons.append("its run takes too long")
+                        reasons.append("the run of the counterexample takes too long")
         raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
 
     def models(self, obligation: Obligation, program: decl.Program, reader: ModelReader) -> Iterator[SolverAnswer]:
-        """Yield models, the most readable ones first.
+        """Yield models of a failed obligation, the most readable ones first.
 
-        The first has the params' values in the program and whole numbers, the second whole numbers, the third any
-        values."""
+        The first query asks for whole numbers and the params' default values, the second for whole numbers, the third
+        for arbitrary values."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
         with_defaults = list(_usual(obligation, program))
@@ -154,9 +160,9 @@ class Explainer:
                 yield answer
 
     def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
-        """Return all obligations of one event.
+        """Return all obligations of one event, for a fleet of `robots` robots.
 
-        The formula that failed at a loop's head, if any, is assumed again."""
+        If the failed formula belongs to a loop's head, it was dropped; here it is assumed again."""
         key = (program, robots, failed.event, failed.at)
         if key not in self.made:
             dropped = self.dropped - {failed.at}
@@ -164,7 +170,7 @@ class Explainer:
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
-        """Return conjuncts with which an invariant is proved, beside the proved ones; None if none were found."""
+        """Return conjuncts that prove the invariant together with the proved ones; None if none are found."""
         until = time.process_time() + STRENGTHENING_SECONDS
         solving = 0.0
         base = replace(proved, properties=(*proved.properties, invariant))
@@ -172,7 +178,9 @@ class Explainer:
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            # An invariant that holds for all numbers of robots holds for this number, and is decided faster.
+            # Ask about any number of robots: an invariant that is proved for any number is proved for this one, and the
+            # solver
+            # decides these obligations faster.
             for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
@@ -189,8 +197,9 @@ class Explainer:
 
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
-    """Yield formulas that the params have their values in the program."""
-    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params  # initial values may not be exact
+    """Yield the formulas "this param has its default value"."""
+    # initial values of variables may have no exact representation, so the program's variables are left out
+    values = initial(replace(program, shared=(), locals=(), modules=()), 1).params
     for cell in obligation.cells:
         parts = flat(values.get(cell.name))
         if cell.robot is None and len(parts) == len(cell.terms):
@@ -202,6 +211,6 @@ def invariant_of(program: decl.Program, name: str) -> decl.Property:
 
 
 def _values(shown: Counterexample) -> list[KoordValue]:
-    """Return the values of sensors and commands in a counterexample."""
+    """Return the values of all ports of all robots in a counterexample: sensors and commands."""
     states = (shown.before, shown.after)
     return [value for state in states for robot in state.robots for value in robot.ports.values()]

@@ -26,7 +26,7 @@ def _in(node: ir.Expr, least: int) -> str:
 
 
 def _text(node: ir.Expr) -> tuple[str, int]:
-    """Return the text of an expression, and the precedence of its loosest operator."""
+    """Return the text of an expression, and the precedence of its outermost operator."""
     match node:
         case ir.Widen(operand):
             return _text(operand)
@@ -143,9 +143,9 @@ def _prime(primed: bool) -> str:
 
 
 def number(value: Fraction | int) -> str:
-    """Return a number exactly if that is readable: digits that end, or a small fraction.
+    """Return a number as text, exactly if that is readable.
 
-    Else rounded, after `~`."""
+    Readable numbers are finite decimals and small fractions. Any other number is rounded and marked with `~`."""
     exact = Fraction(value)
     if exact.denominator == 1 and abs(exact) < 10**15:
         return str(exact.numerator)

@@ -1,4 +1,4 @@
-"""Assumption ledger: the assumptions of a verdict, and what checks each while robots run."""
+"""Assumption ledger: the assumptions of a verdict, each with the component that checks it at run time."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.smt.obligation import Obligation
 
 AGENTS = (
-    "agents and simulator check it at each call; where it does not hold, the event is discarded "
-    "(runtime/program/extern.py)"
+    "agents and simulator check it at each call and discard the event if it does not hold (runtime/program/extern.py)"
 )
 DISCARDED = "agents discard an event that would; a property that compares NaN has no value (`koordgen docs proofs`)"
 SIMULATOR = "the simulator watches it in each run (`koordgen docs sim`)"
 UNCHECKED = ""
-HARMLESS = "nothing has to: it can make a proof fail, and never makes one"
+HARMLESS = "no check is needed: it can make a proof fail, but it cannot make a false proof"
 STARTED = "every robot's init has a result: otherwise no mission begins"
 AGENTS_START = (
     "agents hold before round 1 until all have it, and a robot whose init is discarded ends (`koordgen docs safety`)"
@@ -31,9 +30,12 @@ LEMMAS = frozenset((DISTANCES, PATHS))
 
 
 class LedgerEntry(NamedTuple):
-    """One assumption: its kind, its text, and its place in the program (line 0: none).
+    """One assumption of a verdict.
 
-    `checked`: what checks it at run time; empty if nothing does."""
+    `kind`: the kind of assumption.
+    `text`: the assumption as text.
+    `line`: its line in the program; 0 if it is not stated in the program.
+    `checked`: the component that checks it at run time; empty if no component does."""
 
     kind: str
     text: str
@@ -51,7 +53,9 @@ class Ledger:
         self.general = tuple(_general(program))
 
     def of(self, obligations: Iterable[Obligation]) -> tuple[LedgerEntry, ...]:
-        """Return the assumptions of some obligations: parts of the program among their facts, and their notes."""
+        """Return the assumptions of some obligations.
+
+        These are the program's formulas among the obligations' facts, and the obligations' notes."""
         used: set[int] = set()
         notes: dict[str, None] = {}
         for obligation in obligations:
@@ -68,7 +72,7 @@ def _noted(note: str, program: decl.Program) -> LedgerEntry:
 
 
 def _written(program: decl.Program) -> Iterator[tuple[LedgerEntry, Span]]:
-    """Yield the assumptions that the program states."""
+    """Yield the assumptions that the program itself states, each with its position in the source text."""
     for module in program.modules:
         for assumption in module.assumptions:
             text = f"{module.name}: {to_koord(assumption.formula)}"
@@ -87,9 +91,9 @@ def _written(program: decl.Program) -> Iterator[tuple[LedgerEntry, Span]]:
 
 
 def _watched(formula: ir.Expr, program: decl.Program) -> str:
-    """Return what checks a formula at run time.
+    """Return the name of the component that checks a formula at run time.
 
-    Nothing can evaluate a `spec fun`, so nothing checks its formulas."""
+    No component can evaluate a `spec fun`, so a formula that calls one is not checked."""
     specs = {spec.name for spec in program.specs}
     return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in walk(formula)) else SIMULATOR
 

@@ -1,7 +1,8 @@
-"""Counterexamples from a solver's model: its states, and their step run by the executable semantics.
+"""Counterexamples: states from a solver's model, and the step that the executable semantics runs.
 
-The answer `sat` of a solver is not trusted. A counterexample is shown only as the semantics runs it, in exact
-arithmetic, from a state in which the invariants hold to a state in which one does not.
+The solver's answer `sat` is not trusted. The semantics runs the step with rational numbers, from a state in which the
+invariants hold. A counterexample is shown only if the run fails as the solver claims: an invariant is false afterwards,
+or the event has no result.
 """
 
 from __future__ import annotations
@@ -31,17 +32,23 @@ from koordgen.verify.prove.smt.obligation import Obligation, StateCell, StateNam
 
 
 class Conjunct(NamedTuple):
-    """Conjunct that decides a formula. `names`: the quantified names that it reads, with their values."""
+    """Conjunct that makes a formula false.
+
+    `formula`: the conjunct.
+    `names`: the values of the quantified names that it reads."""
 
     formula: ir.Expr
     names: Mapping[str, Value]
 
 
 class Counterexample(NamedTuple):
-    """One step from a state in which all invariants hold to a state in which `failed` does not.
+    """Counterexample: a step that leads from a state in which all invariants hold to a failure.
 
-    `begun`: the store at the round's start, which a plain event reads. `pid`: None if all robots moved. `discarded`:
-    the reason why the event has no result, if that is the failure. `seen`: names of the variables in the obligation."""
+    `begun`: the shared store at the round's start, which a plain event reads.
+    `pid`: the robot that runs the event; None if all robots moved.
+    `failed`: the conjunct that is false after the step; None if the event has no result.
+    `discarded`: the reason why the event has no result, if this is the failure.
+    `seen`: names of the variables that the obligation mentions."""
 
     invariant: str
     kind: str
@@ -58,7 +65,7 @@ class Counterexample(NamedTuple):
 
 
 class ModelStates:
-    """States of the program in a model."""
+    """States of the program, built from the values that a solver's model gives to the variables."""
 
     def __init__(self, program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> None:
         self.obligation = obligation
@@ -71,7 +78,7 @@ class ModelStates:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
     def state(self, moment: StateName) -> State:
-        """Return the fleet in one state.
+        """Return the fleet in one of the obligation's states.
 
         A variable that the obligation does not mention has its initial value."""
         first = exact_state(initial(self.program, self.robots))
@@ -103,20 +110,21 @@ class ModelStates:
 
 
 def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:
-    """Return the program with some params set to values."""
+    """Return the program with the given values as the defaults of some params."""
     params = [replace(p, default=constant(values[p.name], p)) if p.name in values else p for p in program.params]
     return replace(program, params=tuple(params))
 
 
 def constant(value: Value, param: decl.Param) -> ir.Expr:
-    """Return a value as an expression.
+    """Return a value as a constant expression.
 
-    Only the semantics may use it: it takes a constant's value unchecked."""
+    The constant need not be well typed, for example it may be a fraction. Only the semantics, which does not check it,
+    may use the expression."""
     return ir.Const(value, param.type, param.span)  # type: ignore[arg-type]
 
 
 def exact_state(state: State) -> State:
-    """Return a state with all its numbers exact."""
+    """Return a state with all its numbers converted to fractions."""
     robots = tuple(Robot(exact_all(r.locals), exact_all(r.ports), r.stopped) for r in state.robots)
     slots = {name: tuple(map(made_exact, values)) for name, values in state.store.slots.items()}
     return State(exact_all(state.params), robots, Store(slots, exact_all(state.store.cells)), state.round)
@@ -127,10 +135,11 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> Counterexample:
-    """Run the step of a model, as `reader` read it.
+    """Run the step of a model with the executable semantics.
 
-    `program` is exact, and contains the invariants that may be assumed. Raises Unshowable if the run does not show what
-    the solver claims."""
+    `program`: the program with exact numbers and with the invariants that may be assumed.
+    `reader`: has read the model's values.
+    Raises Unshowable if the run does not show the failure that the solver claims."""
     try:
         reading = ModelStates(program, obligation, reader, robots)
         match obligation.kind:
@@ -141,7 +150,7 @@ def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader
             case "well-defined" if obligation.event == "init":
                 return _init(reading)
             case "loop" if obligation.event not in {event.name for event in program.events}:
-                raise Unshowable("turns of loops are run only in events")
+                raise Unshowable("iterations of loops are run only in events")
             case "event" | "well-defined" | "loop":
                 return _event(reading)
             case _:
@@ -167,11 +176,11 @@ def _init(reading: ModelStates) -> Counterexample:
 
 
 def _ran_init(reading: ModelStates) -> tuple[State, State, Step | None]:
-    """Return the fleet before and after every `init`, and the first discarded `init`, or None."""
+    """Return the fleet before and after every `init`, and the first discarded `init`; None if none was."""
     before = reading.state("before" if reading.has("before") else "round start")
     for property_ in reading.program.properties:
         if property_.kind == "initially" and not is_true(property_, reading.program, before):
-            raise Unshowable("its first state violates an `initially` property")
+            raise Unshowable("the first state of the counterexample violates an `initially` property")
     served = ModelAnswers(reading.program, reading.reader)
     after, steps = run_init(reading.program, before, served.world)
     if served.missing or served.asked:
@@ -190,16 +199,16 @@ def _environment(reading: ModelStates) -> Counterexample:
     _relied_upon(program, before)
     for pid, (old, new) in enumerate(zip(before.robots, moved, strict=True)):
         if not is_allowed(program, old.ports, new.ports, pid, before):
-            raise Unshowable("its step violates an assumption")
+            raise Unshowable("the step of the counterexample violates an assumption")
     return _failed_step(reading, before.store, before, before._replace(robots=tuple(moved)), None, "")
 
 
 def is_allowed(
     program: decl.Program, old: Mapping[str, Value], new: Mapping[str, Value], pid: int, state: State
 ) -> bool:
-    """Return whether one robot's step satisfies every assumption.
+    """Return whether one robot's step satisfies every assumption of the modules.
 
-    Raises Unshowable if one cannot be evaluated."""
+    Raises Unshowable if an assumption cannot be evaluated."""
     try:
         return all(
             holds_assumption(a, program, old, new, pid, len(state.robots), state.params)
@@ -259,7 +268,7 @@ def _are_all_true(name: str, program: decl.Program, state: State) -> bool:
 
 
 def is_true(property_: decl.Property, program: decl.Program, state: State) -> bool:
-    """Return whether a property holds. False if it has no value."""
+    """Return whether a property holds in a state. A property without a value does not hold."""
     try:
         return holds_property(property_, program, state)
     except Discarded:
@@ -319,7 +328,9 @@ def _failing_conjunct(node: ir.Expr, view: View) -> Conjunct | None:
 
 
 def plain_value(value: Any) -> Any:
-    """Return a value for JSON. A number that a float would round becomes text."""
+    """Return a value in a form that JSON can represent.
+
+    A number that would be rounded as a float becomes text."""
     match value:
         case bool() | int() | str():
             return value

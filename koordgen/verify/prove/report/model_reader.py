@@ -1,4 +1,4 @@
-"""Model reader: terms that the solver must evaluate, and the program's values for the results.
+"""Model reader: chooses the terms that the solver must evaluate, and converts results to Koord values.
 
 A model describes a list by the functions for its length and its elements. Only short lists are read.
 """
@@ -39,16 +39,18 @@ from koordgen.verify.prove.smt.term import (
 )
 from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, Sort, Term, apply, at_most, boolean, integer, real
 
-PATH = list_of(POINT)  # answer type of a PathPlanner
-SHORT = 4  # most elements of a list that is read from a model
+PATH = list_of(POINT)  # type of the answer of a PathPlanner
+SHORT = 4  # largest number of elements of a list that is read from a model
 
 
 class Unshowable(Exception):
-    """The counterexample cannot be run; the message gives the reason."""
+    """Raised if the semantics cannot run a counterexample; the message gives the reason."""
 
 
 class ModelReader:
-    """Reader of models of one obligation: the terms to evaluate, and the program's values for the results."""
+    """Reader of models of one obligation.
+
+    It chooses the terms to evaluate, and converts the results to Koord values."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.known = {f.name: f for f in _functions(obligation)}
@@ -68,7 +70,7 @@ class ModelReader:
     def ask_for_answers(self) -> None:
         """Add the answers of callable ports to the terms to evaluate.
 
-        `Motion.planner@3` is an unknown of the obligation with the number 3."""
+        A symbol such as `Motion.planner@3` denotes an answer of a port in the obligation."""
         for name, function in self.known.items():
             port, mark, number = name.partition("@")
             if mark and number.isdigit() and "." in port and not function.domain and function.result == Sort(str(PATH)):
@@ -108,14 +110,16 @@ class ModelReader:
         return list(self.terms.values())
 
     def short(self) -> list[Term]:
-        """Return formulas that all lists are short enough to be read."""
+        """Return formulas that are true if all lists are short enough to be read."""
         return [at_most(length, integer(SHORT)) for length in self.lengths.values()]
 
     def answered(self, values: Sequence[ModelValue]) -> None:
         self.of = {id(term): value for term, value in zip(self.wanted(), values, strict=True)}
 
     def value(self, type_: Type, terms: tuple[Term, ...], name: str) -> Value:
-        """Return a value of the program. Raises Unshowable if the model's value has no form in the program."""
+        """Return a Koord value built from the model.
+
+        Raises Unshowable if the model's value has no counterpart in Koord."""
         return self.built(type_, iter(terms), name)
 
     def built(self, type_: Type, terms: Iterator[Term], name: str) -> Value:
@@ -179,7 +183,7 @@ def _unknown(name: str) -> ModelValue:
 
 
 def _any_of(sort: Sort) -> Term:
-    """Return an arbitrary literal for a part that the obligation does not mention."""
+    """Return an arbitrary literal of a sort, for a part of a value that the obligation does not mention."""
     values = {"Int": integer(0), "Bool": boolean(False), "Real": real(0)}
     if sort.name not in values:
         raise Unshowable(f"a value of type {sort.name} cannot be made up")
@@ -193,7 +197,7 @@ def _functions(obligation: Obligation) -> Iterator[FunctionSymbol]:
 
 
 def _leaves(type_: Type) -> Iterator[Type]:
-    """Yield the types of a value's leaves; a collection is one leaf."""
+    """Yield the types of a value's leaves. A collection is one leaf."""
     match type_:
         case RecordType(_, fields):
             for _, field in fields:
@@ -207,9 +211,9 @@ def _leaves(type_: Type) -> Iterator[Type]:
 
 
 def flat(value: Any) -> tuple[Term, ...]:
-    """Return the literals of a value's parts, in the order of a cell's terms.
+    """Return the literals of a value's parts, in the order in which the terms of a cell are flattened.
 
-    Empty if a part is no number."""
+    The result is empty if a part is not a number."""
     match value:
         case bool():
             return (boolean(value),)
@@ -223,11 +227,13 @@ def flat(value: Any) -> tuple[Term, ...]:
             return ()
 
 
-# Answers of a model to calls by the program. A result that the model does not determine makes the step unshowable.
+# Answers to the calls that an event makes, taken from a model. If the model does not determine the result of a call,
+# the
+# counterexample cannot be shown.
 
 
 class ModelAnswers:
-    """Answers of a model to the calls of one event, in their order, with a record of the calls."""
+    """Answers of a model to the calls of one event, in the order of the calls. The calls are recorded."""
 
     def __init__(self, program: decl.Program, reader: ModelReader) -> None:
         self.program = program
@@ -257,14 +263,14 @@ class ModelAnswers:
         return known[place]
 
     def check(self, state: State, pid: int) -> None:
-        """Raises Unshowable if the model has no answer to a call, or an answer that violates an assumption."""
+        """Raise Unshowable if the model has no answer to a call, or an answer that violates an assumption."""
         if self.missing:
             raise Unshowable(f"the result of {self.missing[0]} is known only by its contract and axioms")
         answered(self.program, state, pid, self.asked, self.world)
 
 
 def answered(program: decl.Program, state: State, pid: int, asked: Sequence[Asked], world: World) -> None:
-    """Raises Unshowable if some calls violate an assumption about the answers of callable ports."""
+    """Raise Unshowable if an answer of a callable port violates an assumption of the program."""
     ports = state.robots[pid].ports
     count = len(state.robots)
     for module in program.modules:
@@ -275,5 +281,7 @@ def answered(program: decl.Program, state: State, pid: int, asked: Sequence[Aske
                 if holds_assumption(assumption, program, ports, ports, pid, count, state.params, world, asked):
                     continue
             except Discarded as error:
-                raise Unshowable(f"an assumption has no value in its step: {error.reason}") from None
-            raise Unshowable("its step violates an assumption about a port's answers")
+                raise Unshowable(
+                    f"an assumption has no value in the step of the counterexample: {error.reason}"
+                ) from None
+            raise Unshowable("the step of the counterexample violates an assumption about a port's answers")

@@ -1,8 +1,8 @@
-"""Bounded search of runs from initial states for a state in which an invariant is false.
+"""Bounded search for a run from an initial state to a state in which an invariant is false.
 
-A run counts only if the semantics executes it, so a run that is found is a fact. Finding none proves nothing. The
-environment is made finite: a sensor takes values that the program and the counterexample to induction mention, if the
-assumptions allow them.
+The semantics executes each run, so a run that is found is certainly possible. If no run is found, nothing is proved. To
+make the environment finite, each sensor takes only values that the program and the counterexample to induction mention,
+as far as the assumptions allow them.
 """
 
 from __future__ import annotations
@@ -37,8 +37,12 @@ ENVIRONMENT = "(environment)"
 class SearchBounds(NamedTuple):
     """Limits of the search.
 
-    They are numbers of robots, rounds, states, values of one sensor, and moves of the whole fleet; and CPU seconds,
-    which take longer on a busy computer."""
+    `robots`: size of the largest fleet.
+    `rounds`: length of the longest run, in rounds.
+    `states`: largest number of runs that are extended in one round.
+    `values`: largest number of values of one sensor.
+    `moves`: largest number of joint moves of the whole fleet by the environment.
+    `seconds`: CPU seconds, so that the same runs are found on a busy computer."""
 
     robots: int = 3
     rounds: int = 6
@@ -49,7 +53,10 @@ class SearchBounds(NamedTuple):
 
 
 class RunState(NamedTuple):
-    """State of a run, with the step to it: "" for the first, "init", an event, "(environment)"."""
+    """State of a run, with the step that led to it.
+
+    `event`: the step: "" for the first state, "init", an event's name, or "(environment)".
+    `pid`: the robot that ran the event; None for other steps."""
 
     state: State
     event: str
@@ -58,9 +65,10 @@ class RunState(NamedTuple):
 
 
 class CounterexampleRun(NamedTuple):
-    """Run from an initial state to one in which an invariant is false.
+    """Run from an initial state to a state in which an invariant is false.
 
-    `of_agents`: agents can execute each round."""
+    `failed`: the conjunct of the invariant that is false.
+    `of_agents`: whether robots' agents, which run events in a fixed order, can execute the run."""
 
     run_states: tuple[RunState, ...]
     failed: Conjunct
@@ -74,11 +82,14 @@ def run_to(
     bounds: SearchBounds,
     robots: int | None = None,
 ) -> CounterexampleRun | None:
-    """Return the first run found, one with the fewest rounds of its fleet.
+    """Return a run to a state in which the invariant is false; None if none was found.
 
-    Fleets of 1 to `bounds.robots` robots, or of `robots`. `program` is exact. `hints`: additional values of
-    sensors. If agents cannot execute that run, a second search of the same time looks for a run that they can, with
-    no more rounds."""
+    The search starts with one robot and adds robots up to `bounds.robots`, or uses exactly `robots` robots. It returns
+    a run with the fewest rounds for the first fleet size that has one. If agents cannot execute this run, a second
+    search with the same time limit looks for a run that they can execute, of at most the same number of rounds.
+
+    `program`: the program with exact numbers.
+    `hints`: additional values that sensors may take."""
     fleets = [robots] if robots is not None else list(range(1, bounds.robots + 1))
     known = tuple(hints)
     found = _searched(program, invariant, known, bounds, fleets, as_agents=False)
@@ -100,12 +111,14 @@ def _searched(
                 if found is not None:
                     return found
     except (NotExact, NoMeaning, OutOfTime):
-        return None  # a run that cannot be made exactly, or takes too long, proves nothing
+        return None  # a run with numbers that cannot be exact, or a run that takes too long, proves nothing
     return None
 
 
 class _RunSearch:
-    """Breadth-first search of runs. `as_agents`: each robot runs only the event that agents choose."""
+    """Breadth-first search of runs.
+
+    With `as_agents`, each robot runs only the event that its agent would choose."""
 
     def __init__(
         self, program: decl.Program, invariant: decl.Property, hints: tuple[Value, ...], bounds: SearchBounds,
@@ -126,14 +139,16 @@ class _RunSearch:
         layer: list[tuple[RunState, ...]] = []
         for start in self.starts(n_sys):
             ready, steps = run_init(self.program, start, self.world)
-            if not any(isinstance(step.outcome, Discarded) for step in steps):  # a discarded init begins no mission
+            # no mission begins if an init is discarded
+            if not any(isinstance(step.outcome, Discarded) for step in steps):
                 layer.append((RunState(start, "", None, 0), RunState(ready, "init", None, 0)))
         found = self.broken(layer)
         seen: list[State] = []
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
             reached = list(islice(self.rounds(layer, seen), self.bounds.states))
             found = self.broken(reached)
-            layer = [run for run in reached if run[-1].event == ENVIRONMENT]  # a round begins after such a step
+            # only after a step of the environment does a new round begin
+            layer = [run for run in reached if run[-1].event == ENVIRONMENT]
         return found
 
     def broken(self, layer: list[tuple[RunState, ...]]) -> CounterexampleRun | None:
@@ -144,14 +159,16 @@ class _RunSearch:
         return None
 
     def of_agents(self, run: tuple[RunState, ...]) -> bool:
-        """Return whether agents can execute a run. False if a guard cannot be evaluated exactly."""
+        """Return whether agents can execute a run; False if a guard cannot be evaluated exactly."""
         try:
             return is_order_of_agents(self.program, run, self.world)
         except (NotExact, NoMeaning):
             return False
 
     def starts(self, n_sys: int) -> Iterator[State]:
-        """Yield at most `bounds.moves` initial states, with combinations of pool values for robots' sensors."""
+        """Yield at most `bounds.moves` initial states.
+
+        They combine values of the pools for the robots' sensors."""
         first = exact_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
         cleared = clearable(self.program)
@@ -169,14 +186,18 @@ class _RunSearch:
                 yield state
 
     def rounds(self, layer: list[tuple[RunState, ...]], seen: list[State]) -> Iterator[tuple[RunState, ...]]:
-        """Extend every run by one round: events of one robot or of all agents, then the environment."""
+        """Extend every run by one round: events, then a step of the environment.
+
+        In a round, either one robot runs an event, or all robots' agents run their events."""
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
                 if time.process_time() > self.until or len(seen) > self.bounds.states:
                     return
                 if stepped is not run:
-                    yield stepped  # a run may end here, since the program's step has ended
+                    # the program's step is complete, so the invariant can be checked here, before the environment's
+                    # step
+                    yield stepped
                 for moved in self.moved(stepped[-1].state):
                     fresh = moved._replace(round=0)
                     if fresh not in seen:
@@ -202,7 +223,7 @@ class _RunSearch:
                 yield tuple(run_states)
 
     def events(self, state: State, pid: int) -> Iterator[Step]:
-        """Yield the steps of one robot. An event that cannot be run exactly is left out; the others remain."""
+        """Yield the possible steps of one robot. Events that cannot be run exactly are skipped."""
         if state.robots[pid].stopped:
             return
         for event in self.candidate_events(state, pid):
@@ -220,7 +241,7 @@ class _RunSearch:
         return ()
 
     def moved(self, state: State) -> Iterator[State]:
-        """Yield the states after the environment's step, in which sensors have values that assumptions allow."""
+        """Yield the states after a step of the environment, with sensor values that the assumptions allow."""
         each = []
         for pid, robot in enumerate(state.robots):
             pools = [self.pools.nearby(name, type_, robot.ports, state) for name, type_ in self.sensors]
@@ -238,21 +259,24 @@ class _RunSearch:
 
 
 class Pools:
-    """Values that the search tries for sensors.
+    """Pools of values that the search tries for sensors.
 
-    For each type they are at most `count` of those that the program and the hints mention."""
+    For each type, a pool has at most `count` of the values that the program and the hints mention."""
 
     def __init__(self, hints: Iterable[Value], mentioned: Iterable[Value], count: int) -> None:
         self.hints, self.mentioned = tuple(hints), tuple(mentioned)
         self.count = count
 
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
-        """Return values of a sensor after a step: commands, its own value, and the pool of its type."""
+        """Return the values to try for a sensor after a step, each with the sensor's name.
+
+        The values are the robot's other ports of the same type, such as commands; the sensor's old value; and the
+        type's pool."""
         commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
         return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """Return the values of a type that the program and the hints mention."""
+        """Return the pool of a type: values that the program and the hints mention."""
         if type_ == BOOL:
             return [True, False]
         known: list[Value] = [v for v in (*self.hints, *state.params.values(), *self.mentioned) if _is(v, type_)]
@@ -292,5 +316,5 @@ def _distinct(values: Iterable[Any]) -> list[Any]:
 
 
 def no_path(pid: int, port: str, args: tuple[Value, ...]) -> Value:
-    """Answer a callable port with no path."""
+    """Answer every call of a callable port with an empty path."""
     return ()

@@ -7,24 +7,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, InvariantVerdict
 
-if TYPE_CHECKING:  # a proof needs no code that shows counterexamples
+if TYPE_CHECKING:  # imported only for type checking: a proof needs no code that shows counterexamples
     from koordgen.verify.prove.report.explain import FailureExplanation
 
 WIDTH = 100
 
 
 class AttackCount(NamedTuple):
-    """Number of states with which one obligation was attacked; `reason`: why there are none, if it is 0."""
+    """Number of states with which one obligation was attacked.
+
+    `reason`: the reason why there are no states, if the number is 0."""
 
     states: int
     reason: str
 
 
-Attacks = Mapping[str, AttackCount]  # by the obligation's name
+Attacks = Mapping[str, AttackCount]  # name of an obligation -> its attacks
 
 
 def report(verdicts: Sequence[InvariantVerdict], path: str, attacks: Attacks) -> str:
-    """Return the text of all verdicts, then of their assumptions."""
+    """Return the text of all verdicts, followed by their assumptions."""
     robots = verdicts[0].robots if verdicts else None
     fleet = "every number of robots" if robots is None else f"{robots} robot{'s' * (robots != 1)}"
     lines = [f"{path}, for {fleet}", ""]
@@ -72,7 +74,7 @@ def _verdict(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
 def attacked_states(verdict: InvariantVerdict, attacks: Attacks) -> int:
     """Return the number of states with which an invariant was attacked.
 
-    Obligations of one step share their states."""
+    The obligations of one step share the same states, so these count once."""
     steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
     return sum(steps.values())
 
@@ -90,14 +92,15 @@ def _unattacked(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
 
 
 def wrapped(text: str) -> list[str]:
-    """Return a sentence in as many lines as it needs."""
+    """Return a sentence broken into lines of the text's width."""
     return filled(text, "  ", "  ")
 
 
 def filled(text: str, first: str, rest: str) -> list[str]:
-    """Fill lines with words.
+    """Break a text into lines.
 
-    `first` and `rest` begin the first and other lines. To import textwrap takes 0.7 ms."""
+    `first` and `rest` are the prefixes of the first and of all other lines. The module textwrap is not used, because
+    its import takes 0.7 ms."""
     lines, line = [], ""
     for word in text.split():
         if line and len(line) + 1 + len(word) > WIDTH:
@@ -108,7 +111,7 @@ def filled(text: str, first: str, rest: str) -> list[str]:
 
 
 def suggestion(verdict: InvariantVerdict) -> str:
-    """Return a sentence that says how to close the proof; empty if that is unknown."""
+    """Return a sentence that explains how to close the proof; empty if no explanation is known."""
     explanation = verdict.explanation
     if explanation is not None and explanation.with_defaults:
         return (
@@ -140,7 +143,7 @@ def _ledger(verdicts: Iterable[InvariantVerdict]) -> Iterator[str]:
 
 
 def document(found: Iterable[tuple[Sequence[InvariantVerdict], Attacks]]) -> dict[str, Any]:
-    """Return all verdicts for JSON, for each number of robots with its attacks."""
+    """Return all verdicts and attacks as data for JSON, one entry for each number of robots."""
     return {"invariants": [_json(verdict, attacks) for verdicts, attacks in found for verdict in verdicts]}
 
 

@@ -1,8 +1,9 @@
-"""Strengthening: conjuncts, made from the program's own predicates, that make an invariant inductive.
+"""Strengthening: finds conjuncts that make an invariant inductive.
 
-A candidate is a conjunct of an invariant (or of an `initially` property) in which one variable is replaced by another
-of the same type: the same bound for targets, for locals, for shared values. Houdini finds the candidates that hold
-together. Those that the proof does not need are removed.
+A candidate is a conjunct of an invariant or of an `initially` property, in which one variable is replaced by another
+one of the same type. For example, a bound of targets becomes a bound of positions. The Houdini algorithm finds the
+candidates that hold together: it assumes all of them and drops those that fail, until none fails. Then the candidates
+that the proof does not need are removed.
 """
 
 from __future__ import annotations
@@ -17,17 +18,18 @@ from koordgen.lang.ir.types import BOOL, INT, POINT, RECT, Type, list_of
 from koordgen.lang.node import replace
 from koordgen.verify.prove.report.koord_text import to_koord
 
-MAX_CANDIDATES = 24  # most candidates that are tried
+MAX_CANDIDATES = 24  # largest number of candidates that are tried
 MARK = "(candidate)"
 
 Proves = Callable[[decl.Program, frozenset[str]], frozenset[str]]
 
 
 def strengthening(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
-    """Return conjuncts in Koord with which the invariant is inductive; empty if none were found.
+    """Return conjuncts, as Koord text, with which the invariant is inductive; empty if none were found.
 
-    `program` contains this invariant and those that may be assumed. `proves` returns those of the named invariants that
-    are preserved when all invariants of a program are assumed."""
+    `program`: the program with this invariant and those that may be assumed.
+    `proves`: returns those of the named invariants that every step preserves if all invariants of a program are
+        assumed."""
     for blocks in (True, False):
         found = _strengthening(program, invariant, _candidates(program, invariant, blocks), proves)
         if found:
@@ -60,11 +62,12 @@ def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
 
 
 def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[decl.Property]:
-    """Return candidates.
+    """Return candidate conjuncts for strengthening the invariant.
 
-    `blocks`: all conjuncts about one variable together form one candidate about another."""
+    If `blocks`, all conjuncts about one variable are replaced together: they form one candidate about another variable.
+    """
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
-    known.sort(key=lambda p: p.name != invariant)  # its own predicates first
+    known.sort(key=lambda p: p.name != invariant)  # predicates of the invariant itself come first
     present = {to_koord(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
     found: dict[str, ir.Expr] = {}
     for property_ in known:
@@ -84,7 +87,7 @@ def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[dec
 
 
 def _bounds(program: decl.Program) -> Iterator[ir.Expr]:
-    """Yield bounds of ints: never below their initial value, or never above."""
+    """Yield bounds of int variables: "never below the initial value" and "never above the initial value"."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     for variable in variables:
         first, span = variable.initial, variable.span
@@ -106,7 +109,7 @@ def _bounds(program: decl.Program) -> Iterator[ir.Expr]:
 
 
 def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
-    """Yield the conjuncts of a formula. A `forall` is distributed over them."""
+    """Yield the conjuncts of a formula. A `forall` over a conjunction becomes one `forall` per conjunct."""
     match node:
         case ir.Logic("and", left, right):
             yield from conjuncts(left)
@@ -119,7 +122,7 @@ def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
-    """Join conjuncts that mention the same single variable, each for one robot."""
+    """Join conjuncts with the same quantifier that mention only one variable, the same for all of them."""
     found: dict[object, ir.Expr] = {}
     for part in parts:
         about = {_key(node) for node in walk(part)} - {None}
@@ -152,7 +155,7 @@ def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
 
 
 def _variables(program: decl.Program) -> Iterator[tuple[tuple[str, str], Type]]:
-    """Yield every variable that exists once per robot: a key, and its type."""
+    """Yield every variable of which each robot has its own copy: its key and its type."""
     for module in program.modules:
         for port in module.ports:
             if port.direction in ("actuator", "sensor"):
@@ -199,14 +202,14 @@ def _read(key: tuple[str, str], robot: ir.Expr, like: Any) -> ir.Expr:
             return ir.PortOf(kind.removeprefix("port "), name, robot, like.type, like.span)
 
 
-# Sensors whose values after a step no assumption constrains, so that any invariant about them fails; and an assumption
-# to suggest: a robot stays in the box between its position and its target.
+# Sensors whose values after a step are not constrained by any assumption, so that every invariant about them fails.
+# For such a sensor an assumption is suggested: the robot stays in the box between its position and its target.
 
 Sensor = tuple[decl.Module, decl.Port]
 
 
 def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
-    """Return such sensors that an invariant mentions."""
+    """Return the sensors that an invariant mentions and that no assumption constrains after a step."""
     read = {(n.module, n.port) for n in walk(invariant.formula) if isinstance(n, ir.PortOf)}
     found = []
     for module in program.modules:
@@ -219,9 +222,10 @@ def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
 
 
 def with_position_assumptions(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
-    """Add an assumption about each position to which an actuator sends the robot.
+    """Add an assumption about each position sensor among `sensors` that has a target.
 
-    Return the program with these assumptions, and their texts."""
+    A sensor has a target if an actuator sends the robot to a position. Return the program with these assumptions, and
+    the texts of the assumptions."""
     modules, texts = {m.name: m for m in program.modules}, []
     for module, port in sensors:
         goal = next((p.name for p in module.ports if p.meaning.held == port.name), None)

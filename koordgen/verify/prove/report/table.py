@@ -20,7 +20,7 @@ CHANGED = "*"
 
 
 def wrapped(text: str, indent: str = "  ") -> list[str]:
-    """Return a sentence in as many lines as it needs."""
+    """Return a sentence broken into lines of the table's width."""
     lines = textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
@@ -28,7 +28,7 @@ def wrapped(text: str, indent: str = "  ") -> list[str]:
 
 
 def counterexample(found: Counterexample) -> Iterator[str]:
-    """Yield the step, the conjunct that it makes false, and the table of values before and after it."""
+    """Yield a counterexample as lines: the step, the conjunct that becomes false, and the table of values."""
     yield from wrapped(f"{_step(found)}:")
     yield from failed_lines(found.failed, found.discarded, found.file)
     yield ""
@@ -47,9 +47,9 @@ def _step(found: Counterexample) -> str:
 
 def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str]:
     if failed is None:
-        return wrapped(f"it has no result, {discarded}", "    ")
+        return wrapped(f"the event has no result, {discarded}", "    ")
     bound = "".join(f", {name} = {shown(value)}" for name, value in failed.names.items())
-    return wrapped(f"false then: {to_koord(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
+    return wrapped(f"false afterwards: {to_koord(failed.formula)}{bound}  ({file}:{failed.formula.span.line})", "    ")
 
 
 def table(found: Counterexample) -> Iterator[str]:
@@ -63,11 +63,13 @@ def table(found: Counterexample) -> Iterator[str]:
         rows.append((owner, name, old, f"{new}{mark}" if mark else ""))
     yield from _columns(rows)
     if any("~" in column for row in rows for column in row):
-        yield from wrapped("(all numbers are exact; those behind ~ are shown rounded)")
+        yield from wrapped("(all numbers are exact; a number after ~ is shown rounded)")
 
 
 def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
-    """Yield owner, name, value before and after of relevant variables: robots' first, then shared."""
+    """Yield the owner, name, value before and value after of each relevant variable.
+
+    The robots' variables come first, then shared variables."""
     before, after = found.before, found.after
     for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
         for name, value in own(before, pid).items():
@@ -115,17 +117,17 @@ def run_lines(run: CounterexampleRun, found: Counterexample | None) -> Iterator[
 
 
 def agent_order_text(of_agents: bool) -> str:
-    """Return a sentence that says whether agents can execute a run."""
+    """Return a sentence that states whether robots' agents can execute a run."""
     if of_agents:
-        return "the agents' order can do this run"
+        return "robots' agents can execute this run"
     return (
-        "the agents' order cannot do this run: in each round an agent runs the first event in text order whose guard "
-        "holds at the round's start, commits come first, one for each lock, then plain events by ascending pid"
+        "robots' agents cannot execute this run: in each round, an agent runs the first event in text order whose "
+        "guard holds at the round's start, commits come first, one for each lock, then plain events by ascending pid"
     )
 
 
 def run_state_lines(run_states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a run step by step, with the changes of each."""
+    """Yield a run as lines, one step after another, with the changes of each step."""
     first = run_states[0].state
     constants = {"N_SYS": len(first.robots), **first.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
@@ -187,7 +189,7 @@ def _texts(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def shown(value: Any) -> str:
-    """A value of the language, as a program writes it."""
+    """Return a value as a program writes it."""
     match value:
         case bool():
             return str(value)

@@ -1,4 +1,4 @@
-"""Trace of a counterexample (docs/reference/trace.md), which simulators and replayers can read."""
+"""Trace of a counterexample (docs/reference/trace.md), for simulators and replayers."""
 
 from __future__ import annotations
 
@@ -33,15 +33,17 @@ from koordgen.verify.prove.report.reach import RunState, no_path
 
 UNMOVED = ("", "(environment)")  # steps in which no robot acts
 
-# (pid, values of the robot's sensors, port, arguments) -> possible answers of the callable port.
+# Arguments: pid, values of the robot's sensors, callable port, arguments of the call. Result: the possible answers.
 Answers = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 
 
 class RunOrigin(NamedTuple):
-    """Origin of a run.
+    """Origin of a run: facts about the program and its environment that a trace records or needs.
 
-    `program_hash`: "" if the run has numbers that robots do not have; `given`: the params given on the command line;
-    `answers`: possible answers of its callable ports; `externs`: its extern functions."""
+    `program_hash`: the program's hash; "" if the run contains numbers that robots cannot represent.
+    `given`: the params given on the command line.
+    `answers`: returns the possible answers of callable ports.
+    `externs`: the implementations of extern functions."""
 
     program_hash: str = ""
     given: tuple[str, ...] = ()
@@ -50,10 +52,11 @@ class RunOrigin(NamedTuple):
 
 
 def trace(program: decl.Program, explanation: FailureExplanation, about: RunOrigin) -> str:
-    """Return the trace of a counterexample as JSON lines; empty if there is none.
+    """Return the trace of a counterexample as JSON lines; empty if there is no counterexample.
 
-    They are a header, then each step as a round of each robot, with its position if a sensor measures it, and the
-    violation last. Each round takes one second. A number that is no float is a fraction, as text."""
+    The records are a header, then each step as a round of each robot, and the violation last. A robot's record has a
+    position if a sensor measures it. Each round takes one second. A number that is not a float is written as a
+    fraction, as text."""
     found = explanation.counterexample
     if found is None:
         return ""
@@ -74,10 +77,11 @@ def run_trace(
     program: decl.Program, run_states: tuple[RunState, ...], violated: tuple[str, int, str] | None, about: RunOrigin,
     culprit: tuple[int, str] | None = None,
 ) -> str:  # fmt: skip
-    """Return the trace of a run.
+    """Return the trace of a run as JSON lines.
 
-    `violated`: the property that its last state violates, its line in the program, and details. `culprit`: the robot
-    and the event that would come next but have no result, if that is the failure."""
+    `violated`: the property that is false in the last state, its line in the program, and details; None if there is
+        none.
+    `culprit`: the robot and the event that would come next but have no result, if this is the failure."""
     lines: list[TraceRecord] = [_header(program, run_states, about), *_steps(program, run_states, about)]
     if violated is not None:
         name, line, detail = violated
@@ -152,11 +156,11 @@ def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOr
             )
 
 
-Calls = list[tuple[str, list[Any], Any]]  # port, arguments, answer, in JSON
+Calls = list[tuple[str, list[Any], Any]]  # (callable port, arguments, answer) of each call, as values of JSON
 
 
 def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin) -> dict[int, Calls]:
-    """Return the calls of callable ports in a step with their answers, by the calling robot."""
+    """Return the calls of callable ports in one step, with their answers, by the pid of the calling robot."""
     run_state = run_states[index]
     if run_state.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
         return {}
@@ -165,11 +169,14 @@ def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, 
 
 
 def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin, pid: int) -> Calls:
-    """Run the step again with every combination of possible answers, until its effect is that of the run."""
+    """Return the calls of one robot in a step, found by running the step again.
+
+    The answers are not recorded in the run. So every combination of possible answers is tried until the step has the
+    same effect as in the run."""
     run_state, before = run_states[index], run_states[index - 1].state
     begun = next(m.state for m in reversed(run_states[:index]) if m.round < run_state.round or m is run_states[0])
     pending: list[tuple[int, ...]] = [()]
-    for scripted in pending:  # grows within the loop
+    for scripted in pending:  # the loop itself appends to this list
         script = _Script(about, before.robots[pid].ports, scripted)
         done = _again(program, run_state.event, before, begun, pid, World(about.externs, script.answer))
         if isinstance(done, Writes):
@@ -184,7 +191,9 @@ def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, 
 def _again(
     program: decl.Program, name: str, before: State, begun: State, pid: int, world: World
 ) -> Writes | Discarded | None:
-    """Run a step of a round that began with the store of `begun`. None if the step cannot be run."""
+    """Run one step again, in a round that began with the shared store of `begun`.
+
+    Returns None if the step cannot be run."""
     event = next((e for e in program.events if e.name == name), None)
     seen = before if event is None or event.lock is not None else before._replace(store=begun.store)
     try:
@@ -198,8 +207,8 @@ def _again(
 class _Script:
     """Answers to callable ports in one run of a step.
 
-    The k-th question gets its `scripted[k]`-th possible answer, later questions the first one. Equal questions get
-    equal answers."""
+    Call number k gets the possible answer number `scripted[k]`; calls beyond the script get the first possible answer.
+    Equal calls get equal answers."""
 
     def __init__(self, about: RunOrigin, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
         self._about, self._sensors, self._scripted = about, sensors, scripted
@@ -219,7 +228,7 @@ class _Script:
         return self._given[key]
 
     def others(self) -> Iterator[tuple[int, ...]]:
-        """Yield scripts that answer one question differently that this script did not cover."""
+        """Yield longer scripts: each answers one call beyond this script differently than the first answer."""
         for place in range(len(self._scripted), len(self._options)):
             begin = (*self._scripted, *([0] * (place - len(self._scripted))))
             yield from ((*begin, other) for other in range(1, self._options[place]))

@@ -1,4 +1,4 @@
-"""Causes of an UNKNOWN in terms of the program, and possible remedies."""
+"""Reasons for the verdict UNKNOWN, explained by parts of the program, with possible remedies."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import SolverAnswer
 from koordgen.verify.prove.smt.term import NONLINEAR
 
-MAX_NAMED = 3  # most products, or notes, that a message names
+MAX_NAMED = 3  # largest number of expressions, or of approximations, that one message names
 
 
 def unknown_reason(program: decl.Program, obligation: Obligation, answer: SolverAnswer, unshown: str) -> str:
-    """Return sentences that name the obligation, the cause and a next step. `unshown`: the reason why the
-    counterexample that the solver claims cannot be shown."""
+    """Return sentences that name the obligation, the reason why it is undecided, and a next step.
+
+    `unshown`: the reason why the solver's counterexample cannot be shown, if the solver claims one."""
     where = f"{obligation.name} ({obligation.file}:{obligation.line})"
     if answer.result == "unknown":
         hard = list(dict.fromkeys(_products(program, obligation)))[:MAX_NAMED]
         if not hard:
             return f"{where}: {answer.reason}{_many(obligation) if is_exhausted(answer) else ''}"
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
-        terms = f"{many} of unknowns: {', '.join(hard)}"
+        terms = f"{many} of unknown values: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
         return f"{where}: {answer.reason}. It is hard because of {terms}{helps}"
     less = [note for note in obligation.notes if note not in LEMMAS][:MAX_NAMED]
@@ -37,12 +38,12 @@ def unknown_reason(program: decl.Program, obligation: Obligation, answer: Solver
 
 
 def is_exhausted(answer: SolverAnswer) -> bool:
-    """Return whether a solver ran out of time or memory. False if it broke, or gave up."""
+    """Return whether a solver ran out of time or memory; False if it crashed or gave up."""
     return any(word in answer.reason for word in ("--timeout", "memory"))
 
 
 def _many(obligation: Obligation) -> str:
-    """Describe the size of a linear obligation, with its most frequent label."""
+    """Return a sentence about the size of a linear obligation and the most frequent label of its facts."""
     (label, count), *_ = Counter(fact.label for fact in obligation.facts).most_common(1) or [("", 0)]
     if not count:
         return ""
@@ -50,13 +51,13 @@ def _many(obligation: Obligation) -> str:
 
 
 def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
-    """Yield the program's expressions that make an obligation non-linear, with their lines."""
+    """Yield the program's expressions that make an obligation nonlinear, with their lines."""
     facts: list[LabelledFormula] = [*obligation.facts, *([obligation.goal] if obligation.goal is not None else [])]
     if not any(fact.term.traits & NONLINEAR for fact in facts):
         return
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
-        within: set[ir.Expr] = set()  # parts of expressions that were yielded
+        within: set[ir.Expr] = set()  # binary operations inside expressions that were already yielded
         for node in walk(part):
             match node:
                 case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):

@@ -1,7 +1,10 @@
-"""Verdicts of invariants: asks the solver, drops failed invariants, proves the rest, explains.
+"""Verdicts of invariants.
 
-PROVED is given only if every obligation of an invariant got the answer that proves it, with hypotheses that are
-themselves PROVED and assumptions that were shown to be consistent. In all other cases the verdict is a different one.
+The module asks the solver about all obligations, drops invariants that fail, proves the remaining ones without them,
+and explains the failures.
+
+An invariant is PROVED only under three conditions. The solver gave the proving answer for each of its obligations. All
+invariants that these obligations assume are PROVED themselves. The assumptions were shown to be consistent.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
 from koordgen.verify.prove.smt.smtlib import script
 from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver, SolverAnswer
 
-if TYPE_CHECKING:  # Explainer runs programs: a proof needs none of that, and its import takes long
+if TYPE_CHECKING:  # imported only for type checking: a proof does not need Explainer, whose import takes long
     from koordgen.verify.prove.report.explain import FailureExplanation
 
 VerdictName = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
@@ -28,9 +31,11 @@ MORE: tuple[Detail, ...] = ("usual", "most")
 
 
 class Question(NamedTuple):
-    """A checked program, its number of robots (None: any number), and its fixed params.
+    """Question to the prover.
 
-    Other params are arbitrary."""
+    `program`: a checked program.
+    `robots`: the number of robots; None for any number.
+    `params`: the values of fixed params; all other params are arbitrary."""
 
     program: decl.Program
     robots: int | None = None
@@ -38,10 +43,10 @@ class Question(NamedTuple):
 
 
 class SolvedObligations(NamedTuple):
-    """Answers to all obligations, after no formula that is assumed at a loop's head fails any more.
+    """Results of all obligations, after the formulas that fail at loop heads were dropped.
 
-    `dropped`: such formulas that failed. `lost`: the failed obligations of invariants that the program states at
-    loops."""
+    `dropped`: the formulas that failed at a loop's head.
+    `lost`: the failed obligations of invariants that the program states at loops."""
 
     outcomes: list[ObligationResult]
     dropped: frozenset[HeadFormula]
@@ -51,7 +56,8 @@ class SolvedObligations(NamedTuple):
 class InvariantVerdict(NamedTuple):
     """Verdict of one invariant.
 
-    `reason`: a sentence why it is not PROVED; `rests_on`: other invariants it assumes."""
+    `reason`: a sentence that explains why the invariant is not PROVED.
+    `rests_on`: the other invariants that the proof assumes."""
 
     invariant: str
     verdict: VerdictName
@@ -64,7 +70,7 @@ class InvariantVerdict(NamedTuple):
 
 
 def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerdict]:
-    """Return a verdict for each invariant, in the program's order, well-definedness first.
+    """Return a verdict for each invariant: well-definedness first, then in the program's order.
 
     Raises SolverMissing."""
     solver.start()
@@ -105,9 +111,9 @@ def _explained(
     proved: decl.Program,
     dropped: frozenset[HeadFormula],
 ) -> dict[str, FailureExplanation]:
-    """Return explanations of the failed invariants by name.
+    """Return explanations of the failed invariants: name -> explanation.
 
-    `proved` is the program with only the PROVED invariants."""
+    `proved` is the program with only its PROVED invariants."""
     if not failed:
         return {}
     from koordgen.verify.prove.report.explain import Explainer
@@ -123,9 +129,9 @@ def _settled(
     before: SolvedObligations,
     more: Sequence[Detail] = MORE,
 ) -> SolvedObligations:
-    """Ask all obligations until no formula fails that is assumed at a loop's head.
+    """Ask about all obligations until no formula that is assumed at a loop's head fails.
 
-    Formulas that fail there are dropped, and all obligations are asked again."""
+    Formulas that fail at a loop's head are dropped. Then all obligations are asked again."""
     dropped, lost = before.dropped, dict(before.lost)
     while True:
         outcomes = _asked(question, program, solver, dropped, more)
@@ -145,9 +151,10 @@ def _asked(
     dropped: frozenset[HeadFormula],
     more: Sequence[Detail],
 ) -> list[ObligationResult]:
-    """Return the results of all obligations, with few facts at first.
+    """Return the results of all obligations.
 
-    Those that fail are asked again with more facts, if that changes their text."""
+    Each obligation is asked with few facts first. If it is not proved, it is asked again with more facts, provided that
+    this changes its text."""
     robots, params = question.robots, question.params
     found = [
         ObligationResult(*each)
@@ -155,24 +162,25 @@ def _asked(
     ]
     for detail in more:
         if all(outcome.holds or outcome.obligation.too_large for outcome in found):
-            break  # more facts only make formulas larger
+            break  # more facts would make formulas that are too large even larger
         others = {o.name: o for o in obligations(program, robots, params, detail, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
 
 def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> SolvedObligations | None:
-    """Prove for any number of robots what is asked for one number.
+    """Prove for any number of robots a question about one number.
 
-    What holds for every number holds for this one, and is decided faster. Consistency of the assumptions must still be
-    shown for this number. None if something does not hold for every number."""
+    A proof for any number covers this number, and the solver finds it faster. But the consistency of the assumptions
+    must still be shown for this number. Returns None if the proof for any number fails."""
     if question.robots is None:
         return None
     general = _settled(
         question._replace(robots=None), program, solver, SolvedObligations([], frozenset(), {}), MORE[:1]
     )
-    # SOUND: all results or none. What holds after a cut loop rests on its invariants, which have no obligations if the
-    # loop is unrolled.
+    # SOUND: use either all results or none. After a loop that is cut, facts rest on the loop's invariants. If the loop
+    # is
+    # unrolled for this number of robots, these invariants have no obligations.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):
         return None
     numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
@@ -209,9 +217,9 @@ def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
 
 
 def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
-    """Return a contradiction among the assumptions, and why consistency is undecided.
+    """Return a contradiction among the assumptions, and a reason why consistency is undecided.
 
-    Both empty if it is shown."""
+    Both are texts. Both are empty if consistency is shown."""
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation
@@ -230,7 +238,7 @@ def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossChe
 
 
 def _is_dead(obligation: Obligation, answer: SolverAnswer, solver: Solver | CrossCheck) -> bool:
-    """Return whether an event cannot reach its end even without the assumptions about its calls."""
+    """Return whether an event cannot reach its end, even without the assumptions about its calls."""
     if not obligation.event or answer.result != "unsat":
         return False
     own = tuple([f for f in obligation.facts if not f.label.startswith(("contract of ", "axiom ", "assume of "))])
@@ -262,7 +270,7 @@ def _verdict(
 
 
 def _rests_on(name: str, group: tuple[ObligationResult, ...], program: decl.Program) -> tuple[str, ...]:
-    """Return the other invariants that are among the facts of an invariant's obligations."""
+    """Return the names of the other invariants that an invariant's obligations assume."""
     lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
     others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
     return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])

@@ -1,7 +1,7 @@
-"""Server of the Python package cvc5: a solver on standard input and output, like cvc5's executable.
+"""Server for the Python package cvc5: reads commands on standard input, like cvc5's executable.
 
-It is run as a file in its own process and imports nothing of koordgen. `(reset)` makes a new solver, so that options
-can be set again.
+The file runs in its own process and imports nothing of koordgen. The command `(reset)` creates a new solver, so that
+options can be set again.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def commands() -> None:
 
 
 def boundary(text: str) -> int:
-    """Return the end of the next text to run: behind its `echo`, which ends each query.
+    """Return the end of the next complete query in a text; -1 if no query is complete.
 
-    -1 if none is complete."""
+    Each query ends with an `echo` command."""
     start = text.find('(echo "')
     end = text.find(")\n", start) if start >= 0 else -1
     return end + 2 if end >= 0 else -1

@@ -35,7 +35,7 @@ echo "$all obligations, $wrong not as expected"
 
 
 def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
-    """Return the files by name. The same obligations give the same bytes."""
+    """Return the files of a proof folder by name. The same obligations always give the same bytes."""
     files = {"run.sh": RUN.encode()}
     for obligation in obligations:
         name = file_name(obligation)

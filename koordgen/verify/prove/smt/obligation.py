@@ -1,6 +1,6 @@
 """Proof obligations as data: facts, a goal, and the terms that stand for variables of the program.
 
-The room `obligations` makes them; other modules print, solve and explain them.
+The package `obligations` creates them. Other modules print, solve and explain them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ StateName = Literal["round start", "before", "after"]
 class LabelledFormula(Node):
     """A formula with its origin.
 
-    `label` describes it ("invariant Geofence", "guard of Assign"); `file` and `line` name its place in the program.
-    `position`: the number of loop heads and loop ends in the event before the place at which the formula is known. A
-    goal uses only facts whose position is at most its own."""
+    `label`: describes the formula ("invariant Geofence", "guard of Assign").
+    `file`, `line`: its position in the program.
+    `position`: the number of loop heads and loop ends in the event before the program point at which the formula
+        becomes known. A goal uses only facts whose position is at most its own."""
 
     label: str
     term: Term
@@ -32,9 +33,9 @@ class LabelledFormula(Node):
 class StateCell(Node):
     """One variable of the program in one state.
 
-    `terms`: the parts of its value, in the order in which `shape` of encode/values.py flattens its type. `robot`: its
-    owner, a term of sort Int; None for an allwrite variable. `name` as the program writes it: "x", "leader",
-    "Motion.position". Params are included."""
+    `name`: the variable as the program writes it: "x", "leader", "Motion.position". Params are included.
+    `robot`: the robot that owns the variable, a term of sort Int; None for an allwrite variable or a param.
+    `terms`: the parts of the variable's value, in the order in which `shape` of encode/values.py flattens its type."""
 
     name: str
     robot: Term | None
@@ -46,8 +47,9 @@ class StateCell(Node):
 class HeadFormula(NamedTuple):
     """One formula that is assumed at the head of one loop.
 
-    The loop is the `number`-th one of `owner` (an event, `init` or a function). `invariant` names an invariant of the
-    program, or the line of an invariant that stands at the loop."""
+    `owner`: the event, `init` or function that contains the loop.
+    `number`: the number of the loop in its owner.
+    `invariant`: the name of an invariant of the program, or the line of an invariant that stands at the loop."""
 
     owner: str
     number: int
@@ -55,16 +57,19 @@ class HeadFormula(NamedTuple):
 
 
 class Obligation(Node):
-    """A claim for a solver.
+    """A claim that a solver must confirm.
 
     If `expected` is "unsat", the claim is that the facts imply the goal: the facts and the goal's negation are
-    unsatisfiable. A consistency obligation has no goal and claims that its facts are satisfiable.
+    unsatisfiable. A consistency obligation has no goal; its claim is that its facts are satisfiable.
 
-    `invariant`: the invariant's name, or "(well-defined)". `event`: the event's name, "init", "(environment)" or "".
-    `conjuncts`: the goal in parts, so that a counterexample can show which of them fails. `robots`: None for every
-    N_SYS. `notes`: each approximation that was made, and each assumption that is not in the program. `at`: for kind
-    "loop", the loop head and the formula there. `too_large`: the reason why the formulas were not encoded because they
-    exceed a limit; then no solver is asked, and the answer is "unknown"."""
+    `invariant`: the invariant's name, or "(well-defined)".
+    `event`: the event's name, "init", "(environment)" or "".
+    `conjuncts`: the goal as conjuncts, so that a counterexample can show which one fails.
+    `robots`: the number of robots; None for any number.
+    `notes`: each approximation that was made, and each assumption that is not in the program.
+    `at`: for kind "loop", the loop head and the formula there.
+    `too_large`: if the formulas exceed a limit, the reason why they were not encoded. Then no solver is asked, and the
+        answer is "unknown"."""
 
     name: str
     kind: Kind

@@ -1,4 +1,7 @@
-"""Child process with pipes. It avoids the module subprocess, whose import takes longer than a query."""
+"""Child process with pipes.
+
+It does not use the module subprocess, whose import takes longer than a query to the solver.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,15 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 CHUNK = 1 << 16
-KILLED = 9  # signal.SIGKILL: to import signal takes 0.6 ms
+KILLED = 9  # signal.SIGKILL as a number, since the import of the module signal takes 0.6 ms
 
 
 class ProcessEnded(Exception):
-    """The process has closed its output."""
+    """Raised if the child process has closed its output."""
 
 
 def memory_limit(memory: int) -> int:
-    """Return `memory` in megabytes, or this process' own limit if that is less."""
+    """Return `memory` in megabytes, or this process' own limit if that limit is lower."""
     own = resource.getrlimit(resource.RLIMIT_AS)[0]
     return memory if own == resource.RLIM_INFINITY else min(memory, own >> 20)
 
@@ -26,8 +29,9 @@ def memory_limit(memory: int) -> int:
 class Process:
     """One child process.
 
-    `unsent`: input that it has not read yet; `read`: its output; `times`: pairs of the length of `read` and the time
-    when that length was reached."""
+    `unsent`: input that the process has not read yet.
+    `read`: the output of the process.
+    `times`: pairs of a length of `read` and the time when this length was reached."""
 
     def __init__(self, command: Sequence[str], memory: int) -> None:
         """Start the command with at most `memory` megabytes. Raises OSError if it cannot be started."""
@@ -46,7 +50,7 @@ class Process:
                 os.close(end)
         os.set_blocking(self.sink, False)
         os.set_blocking(self.source, False)
-        with suppress(AttributeError, OSError):  # systems on which no other process' memory can be limited
+        with suppress(AttributeError, OSError):  # on some systems, the memory of another process cannot be limited
             resource.prlimit(self.pid, resource.RLIMIT_AS, (memory << 20, memory << 20))
         self.unsent = self.read = b""
         self.times: list[tuple[int, float]] = []
@@ -64,7 +68,7 @@ class Process:
             try:
                 self.unsent = self.unsent[os.write(self.sink, self.unsent[:CHUNK]) :]
             except BrokenPipeError:
-                self.unsent = b""  # the remaining output may explain the end
+                self.unsent = b""  # the process reads no more input, but its remaining output may explain why it ended
         if ready[0]:
             some = os.read(self.source, CHUNK)
             if not some:

@@ -1,4 +1,4 @@
-"""S-expressions: parser of solvers' answers, and of the values in them."""
+"""S-expressions: parser of solvers' answers, and of the values in these answers."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import re
 from fractions import Fraction
 
 Expression = str | list["Expression"]
-# A value in a model: exact; or the name of an element of an uninterpreted sort; or the text of an irrational number.
+# A value in a model: a truth value, an int or a fraction; the name of an element of an uninterpreted sort; or the text
+# of
+# an irrational number.
 ModelValue = bool | int | Fraction | str
 
 _TOKEN = re.compile(r'\|[^|]*\||"(?:[^"]|"")*"|[()]|[^\s()|"]+')
 
 
 class Unreadable(Exception):
-    """The text is no S-expression, or not the answer to the command that was sent."""
+    """Raised if a text is not an S-expression, or is not the answer to the command that was sent."""
 
 
 def read(text: str) -> list[Expression]:
@@ -46,7 +48,7 @@ def values(text: str, count: int) -> list[ModelValue]:
 
 
 def value(node: Expression) -> ModelValue:
-    """Return one value. Raises Unreadable if an operand of `-`, `/` or `to_real` is no exact fraction."""
+    """Return one value. Raises Unreadable if an operand of `-`, `/` or `to_real` is not an exact fraction."""
     match node:
         case "true" | "false":
             return node == "true"

@@ -1,7 +1,7 @@
 """SMT-LIB 2.6 text of obligations: scripts for solvers, and annotated files for people.
 
-Nothing is rounded: a Fraction that is no decimal becomes a quotient of two decimals. A long subterm that occurs more
-than once gets a name.
+Numbers are never rounded: a fraction without a finite decimal becomes a quotient of two decimals. A long subterm that
+occurs more than once is defined once and then referred to by name.
 """
 
 from __future__ import annotations
@@ -13,22 +13,23 @@ from fractions import Fraction
 from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Term, not_
 
-Line = Callable[[str, int], str]  # file, line -> the text of that line; "" if there is none
+Line = Callable[[str, int], str]  # (file, line) -> text of this line; "" if there is no such line
 BUILT_IN = frozenset(("Bool", "Int", "Real"))
-LONG = 60  # characters from which a subterm that occurs again gets a name
+LONG = 60  # Number of characters from which a subterm that occurs more than once is defined by a name of its own.
 WIDTH = 100
 _SIMPLE = re.compile(r"[A-Za-z~!$%^&*_+=<>?/-][A-Za-z0-9~!$%^&*_+=<>.?/@-]*")
-# Reserved words of SMT-LIB, which are names when in bars. encode/context.py never mints the names that logics define.
+# Reserved words of SMT-LIB, which may be used as names only between bars. Names that SMT-LIB's logics define need no
+# entry, since encode/context.py never creates such a symbol.
 _RESERVED = frozenset(("!", "_", "as", "let", "exists", "forall", "match", "par", "assert", "push", "pop", "exit"))
 
 
 def symbol(name: str) -> str:
-    """Return a name as SMT-LIB writes it: in bars if necessary."""
+    """Return a name as SMT-LIB writes it: between bars if necessary."""
     return name if _SIMPLE.fullmatch(name) and name not in _RESERVED else f"|{name}|"
 
 
 def literal(value: bool | int | Fraction, sort: str) -> str:
-    """Return a number or truth value as SMT-LIB, exactly."""
+    """Return a number or truth value as SMT-LIB text, without rounding."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if value < 0:
@@ -40,7 +41,7 @@ def literal(value: bool | int | Fraction, sort: str) -> str:
 
 
 def decimal(value: Fraction) -> str:
-    """Return a number >= 0 as a decimal; empty if its digits never end."""
+    """Return a number >= 0 as a decimal; empty if it has no finite decimal."""
     places, rest = 0, value.denominator
     for prime in (2, 5):
         count = 0
@@ -56,7 +57,7 @@ def decimal(value: Fraction) -> str:
 class Printer:
     """Printer of the terms of one script.
 
-    It counts the uses of each subterm first, then prints each subterm once."""
+    It first counts how often each subterm is used. Then it prints each subterm once."""
 
     def __init__(self, terms: Iterable[Term]) -> None:
         self.uses: dict[Term, int] = {}
@@ -78,7 +79,7 @@ class Printer:
             pending += node.args[::-1]
 
     def print(self, term: Term) -> tuple[list[str], str]:
-        """Return the definitions that must come first, and the text of the term."""
+        """Return the text of a term, preceded by the definitions that the text refers to."""
         definitions: list[str] = []
         done, pending = self.done, [term]
         while pending:
@@ -126,9 +127,10 @@ class Printer:
 
 
 def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = False) -> tuple[str, list[str]]:
-    """Return the script of an obligation, and the printed `wanted` terms of a model.
+    """Return the script of an obligation, and the texts of the `wanted` terms.
 
-    The script lacks its logic and `check-sat`. `named` calls the facts fact!0, fact!1, ... for unsat cores."""
+    The caller asks the solver for the values of the `wanted` terms. The script has no `set-logic` and no `check-sat`
+    command. If `named`, the facts get the names fact!0, fact!1, ... for unsat cores."""
     facts = [f.term for f in obligation.facts]
     if obligation.goal is not None:
         facts.append(not_(obligation.goal.term))
@@ -150,8 +152,8 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
 def together(group: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
     """Print obligations that share facts.
 
-    Return the script of what all of them assume; and for each obligation one script per part of its goal, which asserts
-    that part and the facts that only this obligation assumes."""
+    Return one script with the facts that all obligations assume, and several scripts for each obligation, one per part
+    of its goal. Each of these asserts its part and the facts that only this obligation assumes."""
     shared = set.intersection(*({id(fact) for fact in o.facts} for o in group))
     own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in group]
     common = [fact.term for fact in group[0].facts if id(fact) in shared]
@@ -172,9 +174,9 @@ def together(group: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tu
 
 
 def document(obligation: Obligation, line: Line) -> str:
-    """Return an obligation as a file for people and for every solver.
+    """Return an obligation as an annotated file, for people and for every solver.
 
-    `line` returns a line of the program."""
+    `line` returns the text of a line of the program."""
     goal = obligation.goal
     refuted = [*obligation.facts, *([goal] if goal else [])]
     printer = Printer([*(f.term for f in obligation.facts), *([not_(goal.term)] if goal else [])])
@@ -234,7 +236,9 @@ def _flat(text: str) -> str:
 
 
 def wrapped(text: str) -> str:
-    """Break a long command over several lines: each argument that does not fit gets its own, deeper line."""
+    """Break a long command into several lines.
+
+    An argument that does not fit gets a line of its own, indented further."""
     return "\n".join(_wrapped(text, 0))
 
 
@@ -251,7 +255,7 @@ def _wrapped(text: str, indent: int) -> Iterator[str]:
 
 
 def _split(text: str) -> Iterator[str]:
-    """Yield the expressions of a sequence, one by one."""
+    """Yield the S-expressions of a sequence, one by one."""
     depth, start, quoted = 0, 0, False
     for place, character in enumerate(text):
         if character == "|":

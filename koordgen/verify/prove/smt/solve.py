@@ -1,8 +1,9 @@
-"""Solver driver: one process for all queries, within limits of time and memory.
+"""Solver driver: one solver process for all queries, within limits of time and memory.
 
-The answer `unsat` proves an obligation, so it is never assumed: anything but exactly one answer (an error, a crash,
-garbage, silence) gives UNKNOWN with its reason. A process that misbehaved is killed; the next query starts a new one.
-Measured: z3's executable is ready within 17 ms, its Python module within 65 ms, and a query takes 1 to 2 ms.
+The answer `unsat` proves an obligation, so it is never assumed. If the output is anything but exactly one answer (an
+error, a crash, garbage, no output), the result is UNKNOWN, with the reason. The process is then killed, and the next
+query starts a new one. Measured: z3's executable is ready within 17 ms, z3's Python module within 65 ms, and a query
+takes 1 to 2 ms.
 """
 
 from __future__ import annotations
@@ -22,17 +23,19 @@ from koordgen.verify.prove.smt.sexpr import ModelValue, Unreadable, values
 from koordgen.verify.prove.smt.smtlib import script, together
 from koordgen.verify.prove.smt.term import TRUE, Term, not_
 
-BRIEF = 0.5  # seconds for each query of a batch; a query that takes longer is asked again alone, with its full limit
+# Limit in seconds for each query of a batch. A query that exceeds it is asked again alone, with its full limit.
+BRIEF = 0.5
 MARK = "koordgen-batch"
 WORDS: frozenset[str] = frozenset(("sat", "unsat", "unknown"))
 
 
 class Batch:
-    """Queries that were sent to one process and not answered yet, in their order."""
+    """Queries that were sent to one solver process and are not answered yet, in the order of sending."""
 
     def __init__(self, solver: Solver) -> None:
         self.solver = solver
-        self.sent: list[tuple[Obligation, int, float]] = []  # obligation, number of goals, time of sending
+        # for each obligation: the number of its goals, and the time of sending
+        self.sent: list[tuple[Obligation, int, float]] = []
 
     def add(self, group: Sequence[Obligation]) -> None:
         """Send the obligations of one group. Raises SolverFailed."""
@@ -44,10 +47,10 @@ class Batch:
         self.sent += [(obligation, len(each), now) for obligation, each in zip(group, parts, strict=True)]
 
     def answers(self) -> dict[int, tuple[SatResult, float]]:
-        """Return by the obligation's id its result, and the seconds until it arrived.
+        """Return id of an obligation -> its result, and the seconds until the result arrived.
 
-        If several answers arrive at once, the first one gets the seconds. Empty if the output is anything but answers.
-        Raises SolverFailed."""
+        If several answers arrive at once, the first one gets all the seconds. The result is empty if the output is
+        anything but answers. Raises SolverFailed."""
         count = sum(goals for _, goals, _ in self.sent)
         said, came = self.solver.rest(MARK, BRIEF * count)
         words, marks = said[::2], said[1::2]
@@ -66,19 +69,22 @@ class Batch:
 
 SatResult = Literal["sat", "unsat", "unknown"]
 LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
-WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'  # z3's first answer takes 10 ms more than later ones
-GRACE = 1.0  # seconds after the limit of a query until the solver is killed
-MOST_BYTES = 1 << 24  # largest answer that is read
+# z3's first answer takes 10 ms longer than later ones, so an empty query is sent first
+WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'
+GRACE = 1.0  # seconds that a solver may exceed a query's limit before it is killed
+MOST_BYTES = 1 << 24  # largest answer that is read, in bytes
 
 
 class SolverMissing(Exception):
-    """No such solver is installed; the message names the places that were searched."""
+    """Raised if no such solver is installed. The message names the searched directories."""
 
 
 class Limits(NamedTuple):
-    """Limits in seconds of one query and of all queries of a command.
+    """Limits of the solver.
 
-    Limit of a solver's memory in megabytes."""
+    `query`: seconds for one query.
+    `total`: seconds for all queries of a command.
+    `memory`: megabytes of the solver's memory."""
 
     query: float = 10.0
     total: float = 60.0
@@ -88,9 +94,9 @@ class Limits(NamedTuple):
 class SolverAnswer(NamedTuple):
     """Answer of a solver about one obligation.
 
-    `reason` explains an unknown result and names a remedy. `values`: the values of the wanted terms, in their order, if
-    the result is `sat`. `core`: if it was asked for, the places in `facts` of those that already contradict one
-    another."""
+    `reason`: explains an unknown result and names a remedy.
+    `values`: if the result is `sat`, the values of the wanted terms, in the terms' order.
+    `core`: if requested, the indices in `facts` of those facts that already contradict one another."""
 
     result: SatResult
     seconds: float
@@ -100,7 +106,7 @@ class SolverAnswer(NamedTuple):
 
 
 class SolverFailed(Exception):
-    """The solver process is unusable; the message gives the reason."""
+    """Raised if the solver process can no longer be used; the message gives the reason."""
 
 
 def command_of(name: str, memory: int) -> list[str]:
@@ -120,7 +126,9 @@ def command_of(name: str, memory: int) -> list[str]:
 
 
 class Solver:
-    """One solver process, started by `start` or by the first query. `command` replaces the usual command."""
+    """One solver process, started by `start` or by the first query.
+
+    `command` replaces the default command."""
 
     def __init__(self, name: str, limits: Limits | None = None, command: Sequence[str] | None = None) -> None:
         self.name = name
@@ -130,8 +138,8 @@ class Solver:
         self._process: Process | None = None
         self._asked = 0
         self._warming = False
-        self._left = ""  # command that undoes the previous query
-        self._timeout = 0  # current setting of the solver, in milliseconds
+        self._left = ""  # command that undoes the previous query's settings
+        self._timeout = 0  # the timeout that is set in the solver, in milliseconds; 0 if unknown
 
     def __enter__(self) -> Self:
         return self
@@ -149,12 +157,12 @@ class Solver:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
         self._process.unsent = WARM.encode() if self.name == "z3" else b""
-        with suppress(ProcessEnded):  # the next query reports how the process ended
+        with suppress(ProcessEnded):  # if the process has ended, the next query reports why
             self._process.exchange(0.0)
         self._warming = self.name == "z3"
 
     def stop(self) -> None:
-        """Kill the process without waiting for its exit, for which `end` waits."""
+        """Kill the process without waiting until it has ended. `end` waits."""
         if self._process is not None:
             self._process.kill()
 
@@ -167,9 +175,10 @@ class Solver:
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
     ) -> SolverAnswer:
-        """Ask whether the facts and the goal's negation are satisfiable together.
+        """Ask whether the facts and the negation of the goal are satisfiable together.
 
-        `most`: seconds for this query, if that is less than the limit of a query. Raises SolverMissing."""
+        `most`: limit in seconds for this query, if it is lower than the solver's limit per query. Raises SolverMissing.
+        """
         if obligation.too_large:
             return SolverAnswer("unknown", 0.0, obligation.too_large)
         began = time.monotonic()
@@ -207,10 +216,11 @@ class Solver:
                 raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
 
     def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
-        """Answer many obligations, as `ask` does.
+        """Answer many obligations, with the same meaning as `ask`.
 
-        Obligations of one group share most of their facts: z3 gets them in one batch and works on it while the next
-        group is encoded. What z3 leaves undecided in the batch is asked alone. Raises SolverMissing."""
+        The obligations of one group share most of their facts. z3 gets them in one batch, and works on it while the
+        caller encodes the next group. An obligation that z3 leaves undecided in the batch is asked again alone. Raises
+        SolverMissing."""
         self.start()
         batch = Batch(self)
         found: list[Obligation] = []
@@ -232,10 +242,10 @@ class Solver:
         return [(o, answers[id(o)] if id(o) in answers else self.ask(o)) for o in found]
 
     def parts(self, obligation: Obligation) -> list[Term]:
-        """Return the formulas to refute, one by one.
+        """Return the formulas that must be refuted to prove an obligation.
 
-        If robots have numbers there are many conjuncts: z3 refutes them one by one in a third of the time of all at
-        once."""
+        If robots are named by numbers, a goal has many conjuncts. z3 refutes them one by one in a third of the time
+        that it needs for all at once."""
         if obligation.goal is None:
             return [TRUE]
         numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
@@ -263,8 +273,8 @@ class Solver:
     def preamble(self, logic: str, core: bool, model: bool, limit: float) -> str:
         """Return the commands that begin a query and undo the previous one.
 
-        z3 solves linear queries within a scope, which saves 2 to 10 ms a query. For other queries a reset lets it
-        choose the tactic for their logic."""
+        Linear queries to z3 run inside a scope (push, pop), which saves 2 to 10 ms per query. All other queries begin
+        with a reset, so that the solver can choose the tactic for their logic."""
         milliseconds = max(1, int(limit * 1000))
         if self.name == "z3" and logic in LINEAR and not core:
             before, self._left = self._left, "(pop)\n"
@@ -296,7 +306,7 @@ class Solver:
         )
         if "timeout" in said or "cancel" in said:
             return f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
-        return f"{self.name} cannot decide it: {_short(said) or 'no reason given'}{_exhausted(said)}"
+        return f"{self.name} cannot decide the obligation: {_short(said) or 'no reason given'}{_exhausted(said)}"
 
     def _warm(self, until: float) -> None:
         if self._warming:
@@ -311,9 +321,9 @@ class Solver:
         return self._heard(end, until)
 
     def rest(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
-        """Wait for the end of all output since the last query.
+        """Wait for all output since the last query.
 
-        Return its lines, and the arrival time of each of the marks in it. Raises SolverFailed."""
+        Return the lines of the output, and the arrival time of each mark in it. Raises SolverFailed."""
         assert self._process is not None
         self._asked += 1
         end = f"koordgen-{self._asked}"
@@ -336,14 +346,14 @@ class Solver:
             raise SolverFailed(self._obituary()) from None
 
     def _heard(self, end: str, until: float) -> str:
-        """Return the output up to the word that the solver was to echo. Raises SolverFailed."""
+        """Return the output before the word `end`, which the solver was told to echo. Raises SolverFailed."""
         assert self._process is not None
         return self._process.take(self._waited(end, until))
 
     def _waited(self, end: str, until: float) -> int:
-        """Send pending commands and read, until the solver has echoed a word.
+        """Send pending commands and read output until the solver has echoed the word `end`.
 
-        Return where in the output the word begins. Raises SolverFailed."""
+        Return the position in the output at which the word begins. Raises SolverFailed."""
         process = self._process
         assert process is not None
         while (ended := _ended(process.read, end.encode())) is None:
@@ -371,7 +381,9 @@ class Solver:
 
 
 def _ended(said: bytes, end: bytes) -> int | None:
-    """Return where the last line begins if it is this word, else None. Solvers may quote the word."""
+    """Return the position at which the last line begins, if this line is the word `end`; otherwise None.
+
+    Solvers may put the word in quotes."""
     if not said.endswith(b"\n"):
         return None
     start = said.rfind(b"\n", 0, len(said) - 1) + 1
@@ -388,7 +400,9 @@ def _short(text: str) -> str:
 
 
 class CrossCheck:
-    """Two solvers that get the same queries. A contradiction between their answers is an InternalError."""
+    """Two solvers that get the same queries.
+
+    If their answers contradict each other, an InternalError is raised."""
 
     def __init__(self, solvers: Sequence[Solver]) -> None:
         self.solvers = tuple(solvers)
@@ -411,7 +425,9 @@ class CrossCheck:
     def ask(
         self, obligation: Obligation, wanted: Sequence[Term] = (), core: bool = False, most: float = math.inf
     ) -> SolverAnswer:
-        """Return the first answer that is not unknown. Raises InternalError if one is sat and another unsat."""
+        """Return the first answer that is not unknown.
+
+        Raises InternalError if one solver answers sat and the other one unsat."""
         answers = [solver.ask(obligation, wanted, core, most) for solver in self.solvers]
         decided = [answer for answer in answers if answer.result != "unknown"]
         if len({answer.result for answer in decided}) > 1:
@@ -425,7 +441,7 @@ class CrossCheck:
 
 
 def solver_of(name: str, limits: Limits) -> Solver | CrossCheck:
-    """Return the solver z3 or cvc5, or both cross-checked. Raises SolverMissing."""
+    """Return the solver z3 or cvc5, or both for a cross-check. Raises SolverMissing."""
     return CrossCheck([Solver(one, limits) for one in ("z3", "cvc5")]) if name == "both" else Solver(name, limits)
 
 

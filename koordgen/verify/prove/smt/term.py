@@ -1,7 +1,8 @@
-"""Terms of many-sorted logic, exact: the formulas of obligations.
+"""Terms of many-sorted logic: the formulas of obligations.
 
-Only the constructors below build terms. They fold constants and build equal terms once: identical terms are equal, but
-terms that are not identical may be equal, too. Nothing is rounded: a float of the program becomes a Fraction.
+Terms are built only by the constructors below. They fold constants, and return the same object for equal arguments. So
+identical terms are equal, but terms that are not identical may be equal, too. Numbers are never rounded: a float of the
+program becomes a Fraction.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from koordgen.lang.node import Node
 
 
 class Sort(Node):
-    """Sort of terms: `BOOL`, `INT`, `REAL`; every other sort is uninterpreted."""
+    """Sort of terms: `BOOL`, `INT`, `REAL`, or an uninterpreted sort."""
 
     name: str
 
@@ -22,7 +23,7 @@ BOOL, INT, REAL = Sort("Bool"), Sort("Int"), Sort("Real")
 
 
 class FunctionSymbol(Node):
-    """Declared symbol; a constant has an empty domain."""
+    """Declared symbol of a function. A constant is a function without arguments."""
 
     name: str
     domain: tuple[Sort, ...]
@@ -30,7 +31,7 @@ class FunctionSymbol(Node):
 
 
 class LiteralTerm(Node):
-    """Literal: a bool, an int, or the Fraction of a real."""
+    """Literal: a bool, an int, or a Fraction for a real number."""
 
     value: bool | int | Fraction
     sort: Sort
@@ -51,10 +52,10 @@ class Apply(Node):
 
 
 class Op(Node):
-    """Operator of the logic, by its name in SMT-LIB.
+    """Application of an operator of the logic. `name` is the operator's name in SMT-LIB.
 
-    The names are: and or not => = ite + - * / div mod < <= to_real to_int. `-` has one or two arguments, `and`, `or`,
-    `+` two or more; `>`, `>=` and `distinct` are written with the others."""
+    The names are: and or not => = ite + - * / div mod < <= to_real to_int. `-` has one or two arguments; `and`, `or`
+    and `+` have two or more. The constructors express `>`, `>=` and `distinct` by these operators."""
 
     name: str
     args: tuple[Term, ...]
@@ -66,23 +67,24 @@ class Op(Node):
 
 Term = LiteralTerm | Apply | Op
 
-# Traits of a term and all its parts: features that the logic of its obligation must have.
+# Features of a term and all its subterms that the logic of the term's obligation must support (bit flags).
 REALS, NONLINEAR = 1, 2
-_NONLINEAR = frozenset(("*", "/", "div", "mod"))  # unless a factor, or the divisor, is a literal
+# Operators that make a term nonlinear, unless a factor or the divisor is a literal.
+_NONLINEAR = frozenset(("*", "/", "div", "mod"))
 
-# Limit of steps (terms and expressions) for the encoding of one part of a program. Encoding more takes minutes, and
-# no solver decides the result. MOST_BITS limits the numbers that constant folding computes.
+# MOST_STEPS limits the number of terms and expressions that are built for one part of a program. Encoding more takes
+# minutes, and no solver decides the result. MOST_BITS limits the size of the numbers that constant folding computes.
 MOST_STEPS = 200_000
 MOST_BITS = 1 << 16
 _steps = 0
 
 
 class EncodingTooLarge(Exception):
-    """The formulas of one part of a program exceed a limit; the message says which."""
+    """Raised if the formulas of one part of a program exceed a limit; the message names the limit."""
 
 
 def step() -> None:
-    """Count one step of the encoding. Raises EncodingTooLarge."""
+    """Count one step of the encoding. Raises EncodingTooLarge if the steps exceed MOST_STEPS."""
     global _steps
     _steps += 1
     if _steps > MOST_STEPS:
@@ -92,19 +94,21 @@ def step() -> None:
         )
 
 
-_TERMS: dict[object, Term] = {}  # operator or symbol with its arguments -> its only term
+_TERMS: dict[object, Term] = {}  # (operator or symbol, arguments) -> the only term of this form
 _LITERALS: dict[object, LiteralTerm] = {}
 
 TRUE, FALSE = LiteralTerm(True, BOOL, 0), LiteralTerm(False, BOOL, 0)
 
 
 def forget() -> None:
-    """Drop the table of terms. An equal term that is built later is no longer identical to an earlier one."""
+    """Drop the table of terms.
+
+    A term that is built later is not identical to an equal term that was built before."""
     _TERMS.clear()
 
 
 def count_anew() -> None:
-    """Reset the count of steps, for the next part of a program."""
+    """Reset the count of encoding steps, for the next part of a program."""
     global _steps
     _steps = 0
 
@@ -117,7 +121,7 @@ def integer(value: int) -> Term:
 
 
 def real(value: int | float | Fraction) -> Term:
-    """Return a real literal. A float becomes exactly its binary fraction."""
+    """Return a real literal. A float becomes the binary fraction that it represents, without rounding."""
     found = _LITERALS.get(("Real", value))
     return found or _LITERALS.setdefault(("Real", value), LiteralTerm(Fraction(value), REAL, REALS))
 
@@ -127,7 +131,9 @@ def boolean(value: bool) -> Term:
 
 
 def apply(function: FunctionSymbol, *args: Term) -> Term:
-    key = (function.name, function.result.name, args)  # x@1 may be a bool in one context and a list in another
+    # the arguments are part of the key, and so is the result's sort: x@1 may be a bool in one context and a list in
+    # another
+    key = (function.name, function.result.name, args)
     found = _TERMS.get(key)
     if found is None:
         assert tuple(a.sort for a in args) == function.domain, f"{function.name} of {[a.sort.name for a in args]}"
@@ -161,7 +167,7 @@ def number(term: Term) -> int | Fraction | None:
     return term.value if type(term) is LiteralTerm and term.sort is not BOOL else None
 
 
-# Truth
+# Truth values
 
 
 def not_(a: Term) -> Term:
@@ -234,7 +240,7 @@ def ite(condition: Term, then: Term, orelse: Term) -> Term:
 
 
 def _of_truths(condition: Term, then: Term, orelse: Term) -> Term:
-    """Build an `ite` of which an alternative is a literal."""
+    """Build an `ite` with a literal as one of its two alternatives."""
     if then is TRUE:
         return or_(condition, orelse)
     if then is FALSE:
@@ -264,7 +270,7 @@ def equals(a: Term, b: Term) -> Term:
 
 
 def _offset(a: Term, b: Term) -> int | Fraction | None:
-    """Return b - a if the two differ by a literal, as i and i + 1 do; else None."""
+    """Return b - a if the two terms differ by a literal, as i and i + 1 do; otherwise None."""
     if type(a) is not Op and type(b) is not Op:
         return 0 if a is b else None
     base, more = _split(a)
@@ -273,7 +279,7 @@ def _offset(a: Term, b: Term) -> int | Fraction | None:
 
 
 def _split(a: Term) -> tuple[Term, int | Fraction]:
-    """Return a term as the sum of another term and a literal."""
+    """Return a term as a sum: another term, and a literal."""
     if type(a) is Op and a.name == "+" and len(a.args) == 2:
         last = number(a.args[1])
         if last is not None:
@@ -332,7 +338,7 @@ def multiply(a: Term, b: Term) -> Term:
 
 
 def divide(a: Term, b: Term) -> Term:
-    """Return the quotient of two reals. If the divisor is zero, it may be any number."""
+    """Return the quotient of two reals. The quotient by zero is an unspecified number."""
     x, y = number(a), number(b)
     if y is not None and y != 0:
         return _literal(Fraction(x) / y, REAL) if x is not None else multiply(real(1 / Fraction(y)), a)
@@ -340,9 +346,9 @@ def divide(a: Term, b: Term) -> Term:
 
 
 def floor_divide(a: Term, b: Term) -> Term:
-    """Return `a // b` of ints, floored with Python's signs.
+    """Return `a // b` of ints, rounded down as in Python, also for negative divisors.
 
-    SMT-LIB's `div` floors for positive divisors only."""
+    SMT-LIB's `div` rounds down for positive divisors only."""
     x, y = number(a), number(b)
     if x is not None and y:
         return integer(int(x // y))
@@ -353,7 +359,7 @@ def floor_divide(a: Term, b: Term) -> Term:
 
 
 def remainder(a: Term, b: Term) -> Term:
-    """Return `a % b` of ints, with the divisor's sign as in Python."""
+    """Return `a % b` of ints, which has the divisor's sign as in Python."""
     x, y = number(a), number(b)
     if x is not None and y:
         return integer(int(x % y))
@@ -384,7 +390,7 @@ def to_real(a: Term) -> Term:
 
 
 def to_int(a: Term) -> Term:
-    """Return the greatest int that is not above a real."""
+    """Return the greatest int that is at most as large as a real."""
     x = number(a)
     if x is not None:
         return integer(x // 1)
