@@ -1,4 +1,4 @@
-"""Distances to a place around what stands there, for a point: what a search over poses steers by.
+"""Distance field: distances to a place around obstacles, for a point. It is the heuristic of a search over poses.
 
 Breadth first over square cells: steps go to all eight neighbours and to the four nearest in turn, so that what is
 reached in the same number of steps is an octagon, within 6 % of a circle. Metres, local ENU.
@@ -15,7 +15,7 @@ from targets.car.planning.planner import Area
 
 MOST_CELLS = 250_000
 STEP = 1.06  # widths of a cell that a step comes farther, in the mean over all directions: 1 to 1.12
-FAR = 1e6  # metres: where the cells have no way
+FAR = 1e6  # metres; distance of cells from which no path leads to the place
 
 
 class Cells:

@@ -1,8 +1,9 @@
-"""Lanes: the ground that paths of other robots take, and how far a car may drive with respect to them.
+"""Lanes: the ground that other robots' paths cover, and how far a car may drive along its own path because of them.
 
-A path says where its robot will be, not where it is now. So a car that is outside a lane stands before it. One that
-is in it may leave, if that takes it a short way, on which it comes no nearer to the middle of the lane, nor to the
-place where the path begins: a robot that waits stands there. So two cars that stand in each other's lane do not meet.
+A path shows where its robot will be, not where it is now. So a car outside a lane stops before it.
+
+A car inside a lane may leave it over a short distance. Meanwhile it must come no nearer to the middle of the lane, nor
+to the start of the other's path, since a waiting robot stands there. So two cars in each other's lane do not collide.
 Metres, local ENU.
 """
 
@@ -16,7 +17,7 @@ from targets.car.planning.curves import Curve, Triple
 from targets.car.planning.shapes import Footprint, named
 from targets.planning.world import Path, Scene
 
-LOOK = 0.05  # metres between two places of a way that are looked at
+LOOK = 0.05  # metres between two checked poses of a path
 ROUGH = 0.01  # metres: the accuracy of the car's position
 
 

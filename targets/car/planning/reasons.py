@@ -17,7 +17,9 @@ _POINT = Footprint(0.0, 0.0, 0.0)
 
 
 class NoWay:
-    """`why` says what is wanted and why there is no way there; "" while there is one. Places in metres, local ENU."""
+    """Reason why there is no path to a target. Places in metres, local ENU.
+
+    `why`: the target and the reason, in words; "" while there is a path."""
 
     def __init__(self) -> None:
         self.why = ""
@@ -26,7 +28,7 @@ class NoWay:
         self._since = 0.0
 
     def failed(self, target: Point2, reason: str, now: float) -> None:
-        """Record that no way was found to a target."""
+        """Record that no path to a target was found."""
         if self._target is None or math.dist(self._target, target) > SAME:
             self._target, self._tries, self._since = target, 0, now
         self._tries += 1
@@ -34,11 +36,11 @@ class NoWay:
         self.why = f"{_named(target)} {reason}{tries}"
 
     def blocked(self, target: Point2, reason: str) -> None:
-        """Record that the way to the target is blocked."""
+        """Record that the path to the target is blocked."""
         self.why, self._target = f"{_named(target)} is not approached: {reason}", None
 
     def found(self) -> None:
-        """Record that the car drives along a way to its target."""
+        """Record that the car drives along a path to its target."""
         self.why, self._target = "", None
 
 
