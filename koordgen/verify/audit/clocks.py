@@ -31,7 +31,7 @@ def notes(mission: FleetMission) -> list[str]:
             off, when = max((abs(tick - origin) - DRIFT * delta * abs(r - first), r) for r, tick in ticks)
             if off > SLACK + 2 * bound:
                 found.append(
-                    f"{history.name}'s clock and its rounds differ by {off:.2f} s apart in round {when}: "
+                    f"{history.name}'s clock and its rounds differ by {off:.2f} s in round {when}: "
                     "the audit uses the time of rounds"
                 )
             if bound > delta / 2:

@@ -18,7 +18,7 @@ from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
 # koordgen/runtime/program/extern.py writes this text into records of discarded events
-_CONTRACT = re.compile(r"(?:requires|ensures) \(line (\d{1,9})\)")
+_CONTRACT = re.compile(r"(?:precondition|postcondition|requires|ensures) \(line (\d{1,9})\)")
 
 
 def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:

@@ -137,7 +137,7 @@ def test_when_all_die_at_once_a_new_mission_begins() -> None:
     fleet.run(8.0)
     assert all(r.agent.phase == "running" for r in fleet.robots.values())
     assert fleet.robots[0].agent._link.epoch not in (before, b"")
-    assert any("a new one begins" in line for line in fleet.robots[0].lines)
+    assert any("a new mission begins" in line for line in fleet.robots[0].lines)
     check_visibility(fleet)
 
 

@@ -289,7 +289,7 @@ def test_what_monitors_said_is_compared(tmp_path: Path) -> None:
 def test_clocks_that_do_not_go_with_the_rounds_are_noted(home: Path) -> None:
     edit(home / "cleo.jsonl", lambda r: r | {"time": r["time"] + 3} if r.get("round", 0) > 10 else r)
     status, document = audited(home)
-    assert status == 0 and any(n.startswith("cleo's clock and its rounds are 3.0") for n in document["notes"])
+    assert status == 0 and any(n.startswith("cleo's clock and its rounds differ by 3.0") for n in document["notes"])
 
 
 def test_faults_and_contracts_are_findings(home: Path, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_a_trace_of_another_program_names_both_files(home: Path, capsys: pytest.
 
 def test_traces_of_another_version_than_the_program_are_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (home / "source/a.koord").write_text(HOLDS.replace("mine < 6", "mine < 5"))
-    assert "is of a program with the hash" in refused(capsys, home)
+    assert "is the trace of a program with the hash" in refused(capsys, home)
 
 
 def test_traces_of_different_missions_are_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,7 +74,7 @@ def test_two_traces_of_one_robots_life_are_refused(home: Path, capsys: pytest.Ca
 
 def test_two_robots_of_one_pid_are_refused(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edit(home / "cleo.jsonl", lambda r: r | {"pid": 1} if r["kind"] == "header" else r)
-    assert "robot 1 is cleo; in" in refused(capsys, home)
+    assert "robot 1 is named cleo; in" in refused(capsys, home)
 
 
 @pytest.mark.parametrize("data", [b"", b"\n", b"\x00" * 4096, bytes(range(256)) * 40, b"{}\n", b'{"kind":"header"}\n',

@@ -238,7 +238,7 @@ def test_a_trace_of_another_version_is_refused(copied: Path, capsys: pytest.Capt
     (copied / "source/params.json").write_text('{"most": 4}')
     assert replay(copied) == 1
     told = capsys.readouterr().err
-    assert "is of a program with the hash" in told and "other params" in told
+    assert "is the trace of a program with the hash" in told and "params" in told
     assert replay(copied, "--param", "most=3") == 0
 
 
