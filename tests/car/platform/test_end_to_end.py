@@ -170,7 +170,7 @@ def test_a_missing_device_and_a_port_in_use_are_unready(bench: Bench) -> None:
 def test_settings_of_unknown_form_are_unready(bench: Bench, wrong: str) -> None:
     key, _, value = wrong.partition("=")
     car = Car(robot_settings({**bench.overrides, key: value}), KEY)
-    with pytest.raises(Unready, match="is not a UDP address|is not understood"):
+    with pytest.raises(Unready, match=r"is not a UDP address|is not understood"):
         car.start(0.0)
     car.close()
 

@@ -21,7 +21,7 @@ from koordgen.lang.semantics.step import enabled, execute, initial
 from koordgen.lang.semantics.values import Value
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse
-from tests.lang.check.random_loops import random_text
+from tests.lang.analyze.random_loops import random_text
 
 CERTAIN = {"K012", "K030", "K032", "K036"}  # what is wrong for certain is refused
 ROBOTS = 3
