@@ -223,7 +223,7 @@ SECTIONS = [
     ("if a: b = 3", "if", "expected a section, found 'if'", "under 'init:' or an event's 'eff:'"),
     ("pre: a", "pre", "expected a section, found 'pre'", "under the name of its event"),
     ("sensors: int a", "sensors", "expected a section, found 'sensors'", "under 'using Module:'"),
-    ("42", "42", "expected a section, found '42'", "sections: using,"),
+    ("42", "42", "expected a section, found '42'", "a section begins with 'using',"),
     ("from math import sin", "from", "Koord has no 'from'", "extern fun"),
     ("class Foo:\n  int x", "class", "Koord has no 'class'", "def Name:"),
     ("def f(int x) -> int:\n  return x", "def f", "'def' defines a record", "fun f(Type x) -> Type:"),

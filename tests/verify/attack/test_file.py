@@ -149,7 +149,7 @@ def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
         (b"[]", "the file is not an object"),
         (b"\xff\xfe", "not JSON"),
         (b"[" * 100_000, "nested too deeply"),
-        (b'{"a": NaN}', "NaN is no number"),
+        (b'{"a": NaN}', "NaN is not a number"),
         (b'{"a": 1, "a": 1}', "a name occurs twice"),
         (b'{"a": ' + b"9" * 5000 + b"}", "not JSON"),
         (b" " * (MOST_BYTES + 1), "the limit is"),

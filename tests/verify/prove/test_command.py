@@ -242,7 +242,7 @@ def test_a_report_shows_the_trace_and_a_replay_says_why_it_does_not(
     assert name in Path("report.html").read_text()
     capsys.readouterr()
     assert main(["replay", "trace.jsonl", "--program", "app.koord"]) == 1
-    assert "not of a run: `koordgen sim --follow` lets agents run it" in capsys.readouterr().err
+    assert "not of a run: `koordgen sim --follow` runs it with agents" in capsys.readouterr().err
 
 
 def test_without_a_counterexample_no_trace_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

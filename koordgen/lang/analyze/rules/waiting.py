@@ -1,4 +1,4 @@
-"""K041: events that can never run because they wait for a bool variable that only such events change.
+"""K041: events that can never run, because they wait for a bool that only such events change. K042 is other rules'.
 
 Events for which another rule has already reported K041 or K042 are left out.
 """
