@@ -80,14 +80,14 @@ ALLOWED = {
 LEFT: dict[str, tuple[int, int]] = {
     "koordgen/cli": (6, 0),
     "koordgen/experiment": (14, 0),
-    "koordgen/lang": (24, 135),
-    "koordgen/operate": (17, 15),
+    "koordgen/lang": (8, 0),
+    "koordgen/operate": (17, 9),
     "koordgen/runtime": (69, 5),
-    "koordgen/verify": (43, 2),
-    "targets/car": (41, 45),
-    "targets/mavlink": (7, 6),
-    "targets/planning": (11, 13),
-    "targets/quad": (33, 26),
+    "koordgen/verify": (42, 2),
+    "targets/car": (41, 5),
+    "targets/mavlink": (7, 0),
+    "targets/planning": (11, 1),
+    "targets/quad": (33, 1),
     "targets/sim": (75, 4),
 }
 
