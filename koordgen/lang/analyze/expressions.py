@@ -127,13 +127,21 @@ def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
 
 def _at(node: ir.At, a: Analysis) -> ir.Expr:
     operand, index = analyze_expression(node.operand, a), analyze_expression(node.index, a)
-    if index.span is node.span:  # `pop()` added this index: see check/statements/target.py
+    if _is_last(operand, index) and index.span is node.span:  # `pop()`: nobody wrote this index, so it is not reported
         proved = node.proved or has_element(operand, a)
     else:
         proved = node.proved or element_proved(operand, index, node.span, a)
     if operand is node.operand and index is node.index and proved is node.proved:
         return node
     return ir.At(operand, index, proved, node.type, node.span)
+
+
+def _is_last(operand: ir.Expr, index: ir.Expr) -> bool:
+    match index:
+        case ir.Binary("-", ir.Builtin("len", (counted,)), ir.Const(1)):
+            return counted == operand
+        case _:
+            return False
 
 
 def _slice(node: ir.Slice, a: Analysis) -> ir.Expr:

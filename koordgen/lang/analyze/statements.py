@@ -24,7 +24,7 @@ from koordgen.lang.analyze.facts.terms import formula, range_facts, term
 from koordgen.lang.analyze.rules.analysis import Analysis
 from koordgen.lang.analyze.rules.loop_end import check_end
 from koordgen.lang.analyze.rules.lost_update import check_write
-from koordgen.lang.analyze.rules.own_slot import is_own
+from koordgen.lang.analyze.rules.own_slot import check_own
 from koordgen.lang.analyze.rules.unreachable import check_branch, check_loop, check_statement
 from koordgen.lang.ir import draft, stmt
 from koordgen.lang.ir import expr as ir
@@ -102,17 +102,12 @@ def _assign_fact(place: stmt.Place, value: ir.Expr, a: Analysis) -> None:
         a.path = a.path.assigning(place, value)
 
 
-def _assign(node: stmt.Assign, a: Analysis) -> stmt.Stmt | None:
+def _assign(node: stmt.Assign, a: Analysis) -> stmt.Stmt:
     place: stmt.Place | draft.SlotPlace = node.place
     if isinstance(place, draft.SlotPlace):
-        place = draft.SlotPlace(place.name, analyze_expression(place.index, a), place.span)
-        own = is_own(place, a)
-        value = analyze_expression(node.value, a)
-        if not own:
-            return None
+        check_own(draft.SlotPlace(place.name, analyze_expression(place.index, a), place.span), a)
         place = stmt.OwnSlot(place.name)
-    else:
-        value = analyze_expression(node.value, a)
+    value = analyze_expression(node.value, a)
     if isinstance(place, (stmt.LocalPlace, stmt.SharedPlace)):
         a.mentioned.add(place.name)
     if isinstance(place, stmt.SharedPlace):

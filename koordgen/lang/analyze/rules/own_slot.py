@@ -11,13 +11,12 @@ from koordgen.lang.ir.draft import SlotPlace
 _PID = linear.variable(linear.PID)
 
 
-def is_own(place: SlotPlace, a: Analysis) -> bool:
-    """Return whether the index of a written slot is proved to be `pid`; report it otherwise."""
+def check_own(place: SlotPlace, a: Analysis) -> None:
+    """Report the index of a written slot unless it is proved to be `pid`."""
     if a.flow is None or a.poisoned:
-        return True
+        return
     value = term(place.index, a.flow)
     if value is not None and is_impossible(linear.negate(linear.equal(value, _PID)), a):
-        return True
+        return
     message = f"{a.text(place.span)} may be another robot's slot; a robot writes {place.name}[pid] only"
     a.error("K021", message, place.span, f"write {place.name}[pid] = ...")
-    return False
