@@ -212,7 +212,7 @@ class Station:
         self.camera = Camera(system)
 
     def serve(self, told: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
-        """Send poses without end; call `told` with a summary line each second.
+        """Send poses until the capture system fails; call `told` with a summary line each second.
 
         Raises CannotServe when the motion capture system fails.
         """

@@ -36,7 +36,7 @@ Winner = Callable[[list[int], int, int, int], int]  # those who try, lock, round
 
 
 class Body(FakePlatform):
-    """Body that shows other sensor values after each command."""
+    """Vehicle whose sensors have new values after each command."""
 
     def __init__(self, pid: int, generated: Generated, rng: Random) -> None:
         super().__init__(Point())

@@ -51,19 +51,19 @@ def has_colours(stream: TextIO) -> bool:
 
 
 def coloured_message(text: str, stream: TextIO) -> str:
-    """Colour the kind of a message and the marks below its source line, if the stream has colours."""
+    """Colour the kind of a message and the marks below its source line, if the stream supports colours."""
     if not has_colours(stream):
         return text
     return _CARETS.sub(_word, _KINDS.sub(_word, text))
 
 
 def coloured_verdicts(text: str, stream: TextIO) -> str:
-    """Colour the verdicts of a report, if the stream has colours."""
+    """Colour the verdicts of a report, if the stream supports colours."""
     return _VERDICTS.sub(_word, text) if has_colours(stream) else text
 
 
 def coloured_name(name: str, index: int, stream: TextIO) -> str:
-    """Colour a robot's name by its index in the fleet, if the stream has colours."""
+    """Colour a robot's name by its index in the fleet, if the stream supports colours."""
     return f"\x1b[{_NAMES[index % len(_NAMES)]}m{name}\x1b[0m" if has_colours(stream) else name
 
 

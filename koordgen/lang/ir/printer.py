@@ -207,7 +207,7 @@ def _compound(
     node: expr.Make | expr.Field | expr.Item | expr.At | expr.Slice | expr.With | expr.Builtin
     | expr.Call | expr.ExternCall | expr.PortCall,
 ) -> str:  # fmt: skip
-    """Return a value made of parts, or a call, as text."""
+    """Return the text of a call, or of a value that consists of parts."""
     match node:
         case expr.Make(items, type_):
             return f"{type_}{{{_list(items)}}}"

@@ -381,7 +381,7 @@ class Moved(msgspec.Struct, frozen=True, tag_field="kind", tag="moved"):
 
 
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
-    """The mission's end: the agents were told to stop."""
+    """The mission's end: the agents were asked to stop."""
 
     t: float  # since the start of round 1 [s]
     why: str  # for people
