@@ -96,9 +96,7 @@ def _line_keyword(site: ErrorSite) -> str:
     It is the line's first word, or that of the header above its block.
     """
     tokens, start = site.tokens, site.start
-    for token in reversed(
-        site.head
-    ):  # in `E: pre: a = 3` the line's first word is the event's name, so the nearest word counts
+    for token in reversed(site.head):  # in `E: pre: a = 3` the first word is the event's name: the last keyword counts
         if token[0] in _CONDITIONS:
             return token[0]
     if start > 2 and [token[0] for token in tokens[start - 3 : start]] == [":", "NEWLINE", "INDENT"]:

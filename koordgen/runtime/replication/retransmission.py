@@ -43,7 +43,7 @@ class RetransmissionPolicy:
         return round_ <= self._late + LATE_FOR
 
     def is_hurried(self, round_: int) -> bool:
-        """Return whether the robot is late but lost nothing recently, so missing entries are probably delayed, not lost."""
+        """Return whether the robot is late but lost nothing recently: missing entries are probably delayed."""
         return self.is_strained(round_) and round_ > self._lost + LOSSY_FOR
 
     def waits(self, round_: int) -> bool:

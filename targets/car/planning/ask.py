@@ -1,4 +1,4 @@
-"""Asks the car's planner in its own process: told a heading besides start and goal, it answers a curve besides points.
+"""Requests to the car's planner, which runs in its own process: start, goal and heading; the answer has a curve, too.
 
 No way goes out that was not looked at as it will be driven, along its whole length, whoever planned it.
 """

@@ -346,7 +346,7 @@ class Solver:
             raise SolverFailed(self._obituary()) from None
 
     def _heard(self, end: str, until: float) -> str:
-        """Return the output before the word `end`, which an `(echo)` command makes the solver print. Raises SolverFailed."""
+        """Return the output before the word `end`, which an `(echo)` command prints. Raises SolverFailed."""
         assert self._process is not None
         return self._process.take(self._waited(end, until))
 
