@@ -58,7 +58,7 @@ def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
     check = f"'if {open_ or f'0 <= {a.text(index.span)} < N_SYS'}:' around it shows it"
     help = (
         help_at_run_time(a)
-        if a.place in ("property", "assume") or len(check) > 80
+        if a.place in ("property", "assume", "guarantee") or len(check) > 80
         else f"{help_at_run_time(a)}; {check}"
     )
     a.warn("K031", f"{a.text(span)} may name no robot{missing_condition(open_)}", span, help)

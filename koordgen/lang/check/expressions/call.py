@@ -328,8 +328,9 @@ def _function(
     args = _converted_arguments(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
         return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
-    if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
-        message = f"{name} is declared by 'spec fun': it can only be used in properties"
+    # Robots check contracts at run time, so contracts cannot call spec functions.
+    if isinstance(entity, decl.SpecFunction) and c.place not in ("property", "guarantee"):
+        message = f"{name} is declared by 'spec fun': it can only be used in properties and guarantees"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
         return c.error("K027", message, function.span, help, (), *args)
     if c.function:
