@@ -66,12 +66,12 @@ def help_for_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
     """
     type_, text = value.type, c.text(value.span)
     if type_ in NUMBERS:
-        return f"compare it: '{text} {op} 0'"
+        return f"compare the number: '{text} {op} 0'"
     if isinstance(type_, (Sequence, MapOf)):
-        return f"compare its length: 'len({text}) {'>' if op == '!=' else '=='} 0'"
+        return f"compare the length: 'len({text}) {'>' if op == '!=' else '=='} 0'"
     if type_ == STRING:
-        return f"compare it: '{text} {op} \"\"'"
-    return "compare it with '=='"
+        return f"compare the string: '{text} {op} \"\"'"
+    return "compare the value with '=='"
 
 
 def is_poisoned(parts: Iterable[ir.Expr]) -> bool:

@@ -29,7 +29,7 @@ def claim_names(program: ast.Program, c: Context) -> None:
         match section:
             case ast.Variables(kind, variables):
                 for variable in variables:
-                    if not isinstance(variable.type, BrokenType):  # else the parser only guessed the variable's name
+                    if not isinstance(variable.type, BrokenType):  # else the name is only the parser's guess
                         _claim(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):

@@ -113,9 +113,9 @@ def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
         if isinstance(value, (ast.ListDisplay, ast.MapDisplay)) and not value.items:
             continue
         if isinstance(value, ast.Name) and value.name in NAMED:
-            continue  # isinstance(n, int)
+            continue  # for example isinstance(n, int)
         if isinstance(value, ast.Call) and isinstance(value.function, ast.Name) and value.function.name == "range":
-            continue  # list(range(3))
+            continue  # for example list(range(3))
         checked.append(check_expr(value, c))
     return tuple(checked)
 
@@ -124,7 +124,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
     args = skip(node, c)
     if name == "range":
-        help = "use it in a loop: 'for i in range(n):'"
+        help = "use range in a loop: 'for i in range(n):'"
         return c.error("K017", "range(...) is not a value", node.span, help, (), *args)
     if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
         return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name], (), *args)
@@ -141,7 +141,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"}
     )
     taken = "..." if node.args else ""
-    define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
+    define = f"define it: 'fun {name}({taken}) -> Type:', or in Python 'extern fun {name}({taken}) -> Type'"
     return c.error("K010", f"{name} is not defined", function.span, help or define, (), *args)
 
 
@@ -158,7 +158,7 @@ def positional_arguments(
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
             args = skip(node, c)
-            help = "only fields of records are given by name"
+            help = "only the fields of a record can be given by name"
             return c.error("K014", f"{name} takes its arguments without names", arg.span, help, (), *args)
     if len(node.args) not in count:
         args = skip(node, c)
@@ -183,7 +183,7 @@ def _converted_arguments(
 
 
 def _add_help(before: int, takes: str, c: Context) -> None:
-    """Add the help `takes` to each diagnostic from index `before` on that has no help yet."""
+    """Add the help `takes` to the diagnostics from index `before` on, except to those that have a help already."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
             c.found[position] = replace(c.found[position], help=takes)
@@ -261,7 +261,7 @@ def _applied(
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if isinstance(function.value, ast.Name) and _is_unknown(function.value.name, c) and function.name in FUNCTIONS:
-        args = skip(node, c)  # math.sqrt(2)
+        args = skip(node, c)  # for example math.sqrt(2)
         message, help = f"{function.value.name} is not defined", f"write {function.name}(...)"
         return c.error("K010", message, function.value.span, help, (), *args)
     operand = check_expr(function.value, c)
@@ -279,8 +279,8 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     parts = (operand, *skip(node, c))
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
-        help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
-        message = f"{name} changes {text}: it cannot be used within an expression"
+        help = f"write 'x = {text}.pop()', and use x" if name == "pop" else f"call {name} on a line of its own"
+        message = f"{name} changes {text} and cannot be used within an expression"
         return c.error("K027", message, node.span, help, (), *parts)
     report_no_method(operand, function, c)
     return c.poison(node.span, *parts)
@@ -327,8 +327,10 @@ def _function(
     nodes = positional_arguments(node, name, (len(types),), takes, c)
     args = _converted_arguments(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
-        return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
-    if isinstance(entity, decl.SpecFunction) and c.place != "property":  # contracts are checked on robots
+        return c.error(
+            "K025", f"an initial value cannot call {name}", function.span, "set the variable in init", (), *args
+        )
+    if isinstance(entity, decl.SpecFunction) and c.place != "property":  # not in contracts: robots check them
         message = f"{name} is declared by 'spec fun': it can only be used in properties"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
         return c.error("K027", message, function.span, help, (), *args)
@@ -351,7 +353,7 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         return c.error(
             "K017", f"{name} is {with_article(port.type)} and is not called", function.span, "", (), *skipped
         )
-    takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: a Point, a List<Grid> or a List<Point>"
+    takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: obstacles is a List<Grid> or List<Point>"
     nodes = positional_arguments(node, name, (1, 2), takes, c)
     if not isinstance(nodes, tuple):
         return nodes
@@ -368,8 +370,8 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     if c.place not in ("init", "effect", "assume"):
         where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
         what = where.get(c.place, "a property")
-        help = "call it in 'eff:' and keep the answer in a variable"
-        message = f"{what} cannot call {name}: its answer is an input of the event"
+        help = "call the port in 'eff:' and keep its answer in a variable"
+        message = f"{what} cannot call {name}: the answer of a port is an input of the event"
         return c.error("K027", message, node.span, help, (), *args)
     if c.entry is not None:
         return report_port_call(name, node, c)
@@ -406,9 +408,9 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
     if poisoned:
         return c.poison(node.span, *given.values())
     missing = [name for name in names if name not in given]
-    if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
-        message = f"{type_.name} lacks {', '.join(missing)}: its initial values are unknown in a field's initial value"
-        help = f"give each field of {type_.name} a value here"
+    if missing and not record.defaults:  # the call is in a record's field, checked before the fields of `record`
+        message = f"{type_.name} lacks {', '.join(missing)}: within a field's initial value, all fields must be given"
+        help = f"give a value for each field of {type_.name}"
         return c.error("K014", message, node.span, help, (), *given.values())
     first = dict(zip(names, record.defaults, strict=False))
     return ir.Make(tuple([given[name] if name in given else first[name] for name in names]), type_, node.span)
@@ -418,7 +420,7 @@ def _field(
     record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
     c: Context,
 ) -> bool:  # fmt: skip
-    """Check the value that a call gives a record's field, and add it to `given`. Returns whether it is right."""
+    """Check the value of a record's field in a call, add the value to `given`, and return whether it is right."""
     field = field_of(type_, name)
     if field is None:
         check_expr(value, c)
@@ -434,7 +436,7 @@ def _field(
     return checked.type is not POISON
 
 
-# Match signatures that have type variables with the types of arguments.
+# Match the parameters of a signature, which may have type variables, with the types of arguments.
 
 Bound = dict[str, Type]  # name of a type variable -> type bound to it
 _VARIABLES = {variable.name for variable in VARIABLES}
@@ -444,7 +446,8 @@ _SHOWN = {"T": "T", "V": "V", "K": "K", "N": "int or float", "O": "int, float or
 def match_argument(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
     """Match an argument with the pattern of its parameter: a type that may contain type variables.
 
-    Returns the argument, converted to a float if the pattern is float, or None if it does not match. Adds to `bound`
+    Returns the argument, converted to a float if the pattern is float, or None if the argument does not match. Adds to
+    `bound`
     the types to which the match binds type variables.
     """
     type_ = value.type

@@ -57,7 +57,7 @@ class AssignmentTarget(Node):
 
 
 def check_target(node: ast.Expr, c: Context) -> AssignmentTarget | None:
-    """Return the target of an assignment. If it cannot be assigned, report this and return None."""
+    """Return the target of an assignment. Report an expression that cannot be assigned, and return None."""
     match node:
         case ast.Name():
             return _named(node, c)
@@ -114,7 +114,7 @@ def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
         case Shared():
             c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
         case Param():
-            c.error("K022", f"{name} is a param and cannot be assigned", span, "declare it under 'local:'")
+            c.error("K022", f"{name} is a param and cannot be assigned", span, "declare a variable under 'local:'")
         case Module():
             c.error("K022", f"{name} is a module and cannot be assigned", span)
         case Function() | ExternFunction() | SpecFunction():
@@ -136,7 +136,7 @@ def _unknown(node: ast.Name, c: Context) -> None:
 
 
 def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
-    """Return the help for an assignment to an undeclared variable: a declaration."""
+    """Return the help for an assignment to an undeclared variable: the text of a declaration."""
     return f"declare it: '{type_} {name} = {value}'"
 
 
@@ -197,7 +197,7 @@ def _element(outer: AssignmentTarget, node: ast.Index, c: Context) -> Assignment
     part = element(read, index, node, c)
     if part.type is not POISON:
         message = f"{c.text(node.span)} is a part of {with_article(type_)} and cannot be assigned"
-        c.error("K022", message, node.span, "assign it as a whole")
+        c.error("K022", message, node.span, "assign the whole value")
     return None
 
 
@@ -236,7 +236,7 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
 
 # Methods that change their object: `xs.append(v)` assigns to `xs` a list with one more element.
 
-Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
+Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # (changed target, result of `pop` or None, new value)
 _NAMES = {name for _, name in UPDATES} | {"pop"}
 
 
@@ -256,7 +256,9 @@ def is_pop(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
 
 
 def check_update(node: ast.Call, c: Context) -> Update | None:
-    """Return the effect of a call for which `is_update` is true. If it is wrong, report this and return None."""
+    """Return the target, the result and the new value of a call of an updating method: `xs.append(1)`.
+
+    Reports a wrong call and returns None."""
     function = node.function
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)
