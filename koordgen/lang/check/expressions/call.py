@@ -149,7 +149,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 
 
 def positional_arguments(
-    node: ast.Call, name: str, count: Many[int], takes: str, c: Context
+    node: ast.Call, name: str, count: Many[int], usage: str, c: Context
 ) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
     """Return the unchecked arguments of a call that takes no named arguments.
 
@@ -165,12 +165,12 @@ def positional_arguments(
         plural = "" if count[-1] == 1 else "s"
         many = " or ".join(map(str, count)) if count[-1] else "no"
         message = f"{name} takes {many} argument{plural}, not {len(node.args)}"
-        return c.error("K014", message, node.span, takes, (), *args)
+        return c.error("K014", message, node.span, usage, (), *args)
     return node.args  # type: ignore[return-value]
 
 
 def _converted_arguments(
-    nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
+    nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, usage: str, c: Context
 ) -> tuple[ir.Expr, ...]:  # fmt: skip
     """Check arguments against the types of the parameters and return them; a wrong argument becomes poison."""
     args = []
@@ -178,15 +178,15 @@ def _converted_arguments(
         value = check_expr(node, c, type_)
         before = len(c.found)
         args.append(converted_argument(value, type_, f"an argument of {name}", c))
-        _add_help(before, takes, c)
+        _add_help(before, usage, c)
     return tuple(args)
 
 
-def _add_help(before: int, takes: str, c: Context) -> None:
-    """Add the help `takes` to the diagnostics from index `before` on, except to those that have a help already."""
+def _add_help(before: int, usage: str, c: Context) -> None:
+    """Add the help `usage` to the diagnostics from index `before` on, except to those that have a help already."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
-            c.found[position] = replace(c.found[position], help=takes)
+            c.found[position] = replace(c.found[position], help=usage)
 
 
 # Builtins and methods
@@ -194,12 +194,12 @@ def _add_help(before: int, takes: str, c: Context) -> None:
 
 def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
     signatures = FUNCTIONS[name]
-    takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
-    nodes = positional_arguments(node, name, (len(signatures[0].args),), takes, c)
+    usage = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
+    nodes = positional_arguments(node, name, (len(signatures[0].args),), usage, c)
     if not isinstance(nodes, tuple):
         return nodes
     if len(signatures) == 1:
-        return _applied(name, signatures[0], nodes, takes, node.span, c)
+        return _applied(name, signatures[0], nodes, usage, node.span, c)
     arg = check_expr(nodes[0], c)
     if arg.type is POISON:
         return c.poison(node.span, arg)
@@ -210,7 +210,7 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
             result = substituted(signature.result, bound)
             assert result is not None
             return ir.Builtin(name, (value,), result, node.span)
-    return c.error("K012", f"{name} does not apply to {with_article(arg.type)}", arg.span, takes, (), arg)
+    return c.error("K012", f"{name} does not apply to {with_article(arg.type)}", arg.span, usage, (), arg)
 
 
 _TAKES = {
@@ -226,7 +226,7 @@ _TAKES = {
 
 
 def _applied(
-    name: str, signature: Signature, nodes: tuple[ast.Expr, ...], takes: str, span: Span, c: Context,
+    name: str, signature: Signature, nodes: tuple[ast.Expr, ...], usage: str, span: Span, c: Context,
     first: ir.Expr | None = None,
 ) -> ir.Expr:  # fmt: skip
     """Check a call of a builtin that has a single signature. For a method, `first` is the object."""
@@ -246,10 +246,10 @@ def _applied(
             before = len(c.found)
             wanted = substituted(pattern, bound)
             if wanted is None:
-                c.error("K012", f"{name} does not apply to {with_article(value.type)}", value.span, takes)
+                c.error("K012", f"{name} does not apply to {with_article(value.type)}", value.span, usage)
             else:
                 converted(value, wanted, f"an argument of {name}", c)
-            _add_help(before, takes, c)
+            _add_help(before, usage, c)
     if poisoned:
         return c.poison(span, *args)
     result = substituted(signature.result, bound)
@@ -272,10 +272,10 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     signature = METHODS.get((word, name))
     if signature is not None:
         nodes = positional_arguments(node, name, (len(signature.args) - 1,), "", c)
-        takes = f"{name} takes {shown(signature, 1)}"
+        usage = f"{name} takes {shown(signature, 1)}"
         if not isinstance(nodes, tuple):
             return c.poison(node.span, operand, nodes)
-        return _applied(name, signature, nodes, takes, node.span, c, operand)
+        return _applied(name, signature, nodes, usage, node.span, c, operand)
     parts = (operand, *skip(node, c))
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
@@ -323,9 +323,9 @@ def _function(
 ) -> ir.Expr:
     name, span = entity.name, node.span
     types = [parameter.type for parameter in entity.parameters]
-    takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional_arguments(node, name, (len(types),), takes, c)
-    args = _converted_arguments(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
+    usage = f"{name} takes ({', '.join(map(str, types))})"
+    nodes = positional_arguments(node, name, (len(types),), usage, c)
+    args = _converted_arguments(nodes, types, name, usage, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
         return c.error(
             "K025", f"an initial value cannot call {name}", function.span, "set the variable in init", (), *args
@@ -353,8 +353,8 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
         return c.error(
             "K017", f"{name} is {with_article(port.type)} and is not called", function.span, "", (), *skipped
         )
-    takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: obstacles is a List<Grid> or List<Point>"
-    nodes = positional_arguments(node, name, (1, 2), takes, c)
+    usage = f"{name}(goal) and {name}(goal, obstacles) plan a path: obstacles is a List<Grid> or List<Point>"
+    nodes = positional_arguments(node, name, (1, 2), usage, c)
     if not isinstance(nodes, tuple):
         return nodes
     goal = converted(check_expr(nodes[0], c), POINT, "the goal", c)
@@ -388,23 +388,23 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
     type_ = record.type
     names = [name for name, _ in type_.fields]
     given: dict[str, ir.Expr] = {}
-    takes = f"{type_.name} has the fields {', '.join(names)}"
+    usage = f"{type_.name} has the fields {', '.join(names)}"
     before_names = len([arg for arg in node.args if not isinstance(arg, ast.Keyword)])
     if before_names > len(names):
         args = skip(node, c)
         message = f"{type_.name} has {len(names)} fields, not {before_names}"
-        return c.error("K014", message, node.span, takes, (), *args)
+        return c.error("K014", message, node.span, usage, (), *args)
     poisoned, named = False, False
     for position, arg in enumerate(node.args):
         if isinstance(arg, ast.Keyword):
             name, value, span, named = arg.name, arg.value, arg.span, True
         elif named:
-            c.error("K014", "a positional value follows a named value", arg.span, takes)
+            c.error("K014", "a positional value follows a named value", arg.span, usage)
             poisoned = True
             continue
         else:
             name, value, span = names[position], arg, arg.span
-        poisoned = not _field(type_.name, type_, name, value, span, given, takes, c) or poisoned
+        poisoned = not _field(type_.name, type_, name, value, span, given, usage, c) or poisoned
     if poisoned:
         return c.poison(node.span, *given.values())
     missing = [name for name in names if name not in given]
@@ -417,7 +417,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
 
 
 def _field(
-    record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
+    record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], usage: str,
     c: Context,
 ) -> bool:  # fmt: skip
     """Check the value of a record's field in a call, add the value to `given`, and return whether it is right."""
@@ -425,7 +425,7 @@ def _field(
     if field is None:
         check_expr(value, c)
         c.error(
-            "K015", f"{record} has no field {name}", span, c.suggestion(name, [n for n, _ in type_.fields]) or takes
+            "K015", f"{record} has no field {name}", span, c.suggestion(name, [n for n, _ in type_.fields]) or usage
         )
         return False
     checked = converted(check_expr(value, c, field), field, f"{record}.{name}", c)

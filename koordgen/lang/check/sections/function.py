@@ -150,12 +150,12 @@ def _modernise(node: ast.Function, result: Type, c: Context) -> None:
     new = "fun"
     if node.result is None and result != POISON:
         new = f"fun ... -> {result}"
-        close = _closing_bracket(node, c)
+        close = _parameters_end(node, c)
         edits.append(Edit(Span(close.line, close.column, close.line, close.column), f" -> {result}"))
     c.report_old_spelling("def fun", new, start, tuple(edits))
 
 
-def _closing_bracket(node: ast.Function, c: Context) -> Span:
+def _parameters_end(node: ast.Function, c: Context) -> Span:
     """Return the position after the bracket that ends the parameters."""
     last = node.parameters[-1].span if node.parameters else node.span
     line, column = last.end_line, last.end_column

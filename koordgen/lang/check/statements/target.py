@@ -275,8 +275,8 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
         report_no_method(target.read, function, c)
         return None
     types = _arguments(type_, name)
-    takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional_arguments(node, name, (len(types),), takes, c)
+    usage = f"{name} takes ({', '.join(map(str, types))})"
+    nodes = positional_arguments(node, name, (len(types),), usage, c)
     if not isinstance(nodes, tuple):
         return None
     args = [
