@@ -63,7 +63,7 @@ Exact = Fraction | Root
 
 
 def root(square: Fraction | int) -> Exact:
-    """Return the square root: a Fraction if it is rational, else a Root. Raises ValueError below zero."""
+    """Return the square root of a number: a Fraction if it is rational, else a Root. Raises ValueError below zero."""
     exact = Fraction(square)
     if exact < 0:
         raise ValueError("math domain error")
@@ -211,7 +211,7 @@ def made_exact(value: Any) -> Any:
         return Grid(value.x, value.y, made_exact(value.size))
     if type(value) is tuple:
         return tuple([made_exact(part) for part in value])
-    if isinstance(value, tuple):  # a record
+    if isinstance(value, tuple):  # a Koord record is a subclass of tuple
         return type(value)(*[made_exact(part) for part in value])
     return value
 
@@ -242,7 +242,7 @@ def _exact(node: Node) -> Node:
 
 
 def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
-    """Return the expression `whole`, a sum over `values`, changed to give an exact zero for an empty list."""
+    """Return the expression `whole`, a sum over `values`, changed so that the sum of an empty list is an exact zero."""
     some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
     return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
 

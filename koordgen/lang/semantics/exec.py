@@ -26,7 +26,7 @@ from koordgen.lang.semantics.state import World
 from koordgen.lang.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.lang.source import Span
 
-MAX_TURNS = 1_000_000  # budget of loop turns of one event, beyond what a robot can run in a round
+MAX_TURNS = 1_000_000  # budget of loop turns of one event, more than a robot can run in a round
 UNFINISHED = "it is not finished by the end of the round"
 
 
@@ -65,7 +65,7 @@ class Budget:
     def spend(self, turns: int, span: Span) -> None:
         """Subtract a number of turns from the budget.
 
-        Raises Discarded if too few turns remain, and OutOfTime if the deadline has passed.
+        Raises Discarded if the budget has too few turns left, and OutOfTime if the deadline has passed.
         """
         self.left -= turns
         if self.left < 0:
@@ -208,7 +208,7 @@ class Run:
         while True:
             value = next(values, None)
             if value is not None and isinstance(loop, stmt.For):
-                # As on robots, a `for` loop spends the turn before its invariants are evaluated.
+                # As on robots, a `for` loop spends the turn of an iteration before it evaluates the loop's invariants.
                 self.budget.spend(1, loop.span)
             self.check_invariants(loop.invariants)
             if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
@@ -278,8 +278,8 @@ class Run:
     def writes(self, stopped: bool) -> Writes | Discarded:
         """Return the event's writes, or Discarded if a variable or actuator cannot store the value written last.
 
-        If several cannot, the first in this order is reported, as on robots: local variables in the order of their
-        declarations, then shared variables, then actuators.
+        If several of them cannot, the first in this order is reported, as on robots: local variables in the order of
+        their declarations, then shared variables, then actuators.
         """
         types = declared(self.program)
         order = {name: place for place, name in enumerate(types)}

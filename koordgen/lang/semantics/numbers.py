@@ -13,7 +13,7 @@ from koordgen.runtime.values.points import NotANumber, Point
 T = TypeVar("T")
 
 MAX_EXPONENT = 1024
-MAX_BITS = 4096  # limit on the size of an int
+MAX_BITS = 4096  # limit on the size of an int, in bits
 SMALL_BITS = 64  # MAX_BITS does not limit a sum or difference if one operand has at most this many bits
 
 
