@@ -182,7 +182,7 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
 
 
 def _written_name(temp: str, head: str) -> str:
-    """Return the name of a loop's variable in the program's text; in the IR it may have a number appended."""
+    """Return the name of a loop's variable in the program's text. Its name in the IR, `temp`, may end with a number."""
     name = re.sub(r"_\d+$", "", temp)
     return temp if re.search(rf"\b{temp}\b", head) else name
 
@@ -236,9 +236,9 @@ def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tupl
 
 
 def _changed(block: stmt.Block) -> tuple[frozenset[str], frozenset[str]]:
-    """Return two sets: the variables that a loop's block may change, and those whose lengths it does not change.
+    """Return two sets: the variables that a loop's block may change, and those of them that keep their lengths.
 
-    The variables are named as in a Flow.
+    The sets contain the names that a Flow uses, such as "local count".
     """
     found = list(writes(block))
     changed = frozenset([name for name, _ in found])
@@ -254,9 +254,9 @@ def _counting(
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
     """Return `first`, `next`, `last`, `counter` and `stop` of `LoopModel` for a loop over a range or over ID.
 
-    The functions `first`, `next` and `last` set the loop's variable to its first, next and last value; of an unknown
-    value no facts are known. `stop` is the first value that the variable does not take. It is None if it is unknown;
-    it can be known only for a variable that counts up.
+    The functions `first`, `next` and `last` set the loop's variable to its first, next and last value; an unknown
+    value gives no facts. `stop` is the first value that the variable does not take. It is None if the value is unknown
+    or may change in the loop, and for a variable that counts down.
     """
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)

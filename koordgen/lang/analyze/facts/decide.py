@@ -67,7 +67,7 @@ def _unsat(formulas: tuple[Formula, ...]) -> bool:
 
 
 def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
-    """Return the facts that are connected to a condition by shared variables.
+    """Return the facts that are connected to a condition by common variables.
 
     The other facts cannot help to refute the condition, unless they contradict each other. pid and N_SYS are always
     connected, by the facts about every fleet.
@@ -155,9 +155,9 @@ _ANY = (None, None)
 
 
 def _limits(rows: list[Linear]) -> _Limits | None:
-    """Return the bounds of each variable from the rows with no other variable.
+    """Return the bounds of each variable, derived from the rows that contain only this variable.
 
-    Returns None if some variable has no value.
+    Returns None if the bounds leave a variable no value.
     """
     limits: _Limits = {}
     for row in rows:
@@ -337,7 +337,7 @@ def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | No
     tries = 0
     for position, size in enumerate(sizes):
         if possible is not None and position >= 5:
-            return possible  # larger fleets seldom give a certain example if small ones did not
+            return possible  # larger fleets seldom give a certain example if small fleets gave none
         for pid in dict.fromkeys(p for p in [*range(24), *range(size - 4, size), *near] if 0 <= p < size):
             tries += 1
             if tries > MOST_EXAMPLES:

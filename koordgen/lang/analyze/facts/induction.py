@@ -159,7 +159,7 @@ def _paths_through(block: stmt.Block, flows: list[Flow], paths: _Paths) -> list[
 
 
 def _after_inner_loop(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
-    """Return the facts after a nested loop: facts about variables that it may write are dropped."""
+    """Return the facts after a nested loop. Facts about variables that the nested loop may write are dropped."""
     changed = {name for name, _ in writes(loop.block)}
     sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
     if isinstance(loop, stmt.For):
@@ -212,7 +212,7 @@ def guessed_bounds(model: LoopModel, condition: ir.Expr | None) -> list[Candidat
         if isinstance(begin, Linear) and independent(begin, model.changed, model.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
         found += _known(read, model)
-        if model.stop is not None:  # a loop may search an index: a saved index is at most the current index
+        if model.stop is not None:  # a search loop may save the index of an element: at most the current index
             here = linear.variable(model.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
             found.append(_at_most(read, linear.combine(model.stop, linear.constant(-1))))
@@ -268,7 +268,7 @@ def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
 
 
 def _bound_at(bound: Linear, flow: Flow) -> Linear:
-    """Return a bound at a point, with each variable replaced by its value if that is known there."""
+    """Return a bound at a point: each variable in it whose value is known at the point is replaced by the value."""
     for var, _ in bound.terms:
         known = flow.value(var) if isinstance(var, str) else None
         if isinstance(var, str) and isinstance(known, Linear):

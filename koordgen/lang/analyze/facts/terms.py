@@ -229,7 +229,7 @@ def _compared(op: str, first: Linear, second: Linear) -> Formula:
 
 
 def _nonzero_by(op: str, value: ir.Expr, bound: ir.Expr) -> Formula:
-    """Return what `value op bound` implies about a float: that it is zero, or that it is not."""
+    """Return what a comparison of the float `value` with `bound` implies: `value` is zero, or is not zero."""
     if not pure(value):
         return UNKNOWN
     number = number_of(bound)
@@ -272,7 +272,7 @@ def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
 
 
 def after_assignment(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
-    """Return the facts after `place = node`."""
+    """Return the facts after the assignment `place = node`."""
     name = variable_of(place)
     assert name is not None
     if has_length(node.type):
@@ -291,7 +291,7 @@ def range_facts(
     """Yield facts about the temp `unique` that iterates over `values`, and about `values`.
 
     `before` has the facts before the loop, `after` those at the start of each iteration. The loop may change the
-    variables in `changed`, but not the lengths of those in `sized`.
+    variables in `changed`, but not the lengths of the variables in `sized`.
     """
 
     def bound(node: ir.Expr) -> Linear | None:

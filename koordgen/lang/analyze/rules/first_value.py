@@ -76,7 +76,7 @@ def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> In
     from koordgen.lang.semantics.values import Value, flaw
 
     def call(name: str, args: tuple[Value, ...]) -> Value:
-        raise AssertionError(f"{name} is called in a first value")
+        raise AssertionError(f"an initial value calls {name}")
 
     view = view_of(1, {}, call, call, Budget().spend)
     try:

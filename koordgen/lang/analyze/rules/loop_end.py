@@ -23,7 +23,7 @@ _HELP = "a round must end: compare a number in the condition, and let every path
 
 
 class _Wrong(Exception):
-    """A path that moves the number in the wrong direction, or that continues without moving it."""
+    """Raised for a path through a loop that moves the number in the wrong direction, or not at all."""
 
 
 def check_end(node: stmt.While, reporter: Reporter) -> None:
@@ -89,9 +89,9 @@ def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
 
 
 def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, moved: bool) -> bool:
-    """Return whether every path to the end of the block changes the number by a step in the right direction.
+    """Return whether every path to the end of the block moves the number in the direction of `step`.
 
-    Returns True if no path reaches the end.
+    The number is the variable `name`, or its length. Returns True if no path reaches the end of the block.
     """
     for statement in block:
         match statement:
@@ -113,9 +113,9 @@ def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, mo
 
 
 def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
-    """Return whether a statement moves the number in the right direction.
+    """Return whether a statement moves the variable `name`, or its length, in the direction of `step`.
 
-    Raises _Wrong if the statement changes the number in another way.
+    Raises _Wrong if the statement changes the variable in another way.
     """
     if not isinstance(statement, stmt.Assign) or variable_of(statement.place) != name:
         return False

@@ -1,4 +1,4 @@
-"""Help for K030, K032 and K034: if the negated guard would make an event right, suggest it."""
+"""Help for K030, K032 and K034: suggests the negated guard if this guard would make an event right."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
 
 def check_statement(span: Span, a: Analysis) -> None:
     """Warn of the first statement that no path reaches."""
-    a.warn("K043", "this statement can never run: every path to it has stopped or left", span)
+    a.warn("K043", "this statement can never run: no path reaches it", span)
 
 
 def check_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:

@@ -1,6 +1,6 @@
-"""K041: events that can never run, because they wait for a bool that only such events change. K042 is other rules'.
+"""K041: events that can never run, because they wait for a bool that only waiting events change.
 
-Events for which another rule has already reported K041 or K042 are left out.
+Other rules report other events that can never run, as K041 or K042. This rule leaves such events out.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter:
         who = f"only {makers[own][0]} makes" if len(makers[own]) == 1 else "only events that can never run make"
         old, new = starts[own], not starts[own]
         message = f"the event {event.name} can never run: {own} starts {old}, and {who} it {new}"
-        help = f"set it to {new} in init or another event, or change the guard to '{own if old else f'not {own}'}'"
+        help = f"set {own} to {new} in init or another event, or change the guard to '{own if old else f'not {own}'}'"
         reporter.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
 
 
