@@ -127,7 +127,7 @@ def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
 
 def _at(node: ir.At, a: Analysis) -> ir.Expr:
     operand, index = analyze_expression(node.operand, a), analyze_expression(node.index, a)
-    if _is_last(operand, index) and index.span is node.span:  # `pop()`: the text has no index to report
+    if _is_last(operand, index) and index.span is node.span:  # `pop()` has an index only in the IR: nothing to report
         proved = node.proved or has_element(operand, a)
     else:
         proved = node.proved or element_proved(operand, index, node.span, a)

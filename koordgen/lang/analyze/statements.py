@@ -140,7 +140,7 @@ def _if(node: stmt.If, a: Analysis) -> stmt.If:
     return stmt.If(condition, then, orelse, node.span)
 
 
-# Loops: facts inside and after them
+# Loops: facts inside and after a loop
 
 
 def _for(node: stmt.For, a: Analysis) -> stmt.For:
@@ -223,7 +223,7 @@ def _while(node: stmt.While, a: Analysis) -> stmt.While:
 def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tuple[stmt.LoopInvariant, ...]:
     """Analyse the invariants of a loop, without checks of their indices and divisors.
 
-    These checks are not needed, because monitors report an invariant that has no value when the program runs. An
+    The checks are not needed: when the program runs, monitors report an invariant that has no value. An
     invariant's reads of shared variables do not count for the rule on lost updates, because no write depends on them.
     """
     if not invariants:

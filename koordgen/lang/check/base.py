@@ -38,8 +38,8 @@ _DISPLAYS = frozenset((ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tupl
 def check_expr(node: ast.Expr, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Return the typed form of an expression. Its type is POISON if it is wrong; the error is then already reported.
 
-    `wanted` is the type that the context expects, if that is known. It gives an empty display, such as `[]`, its type,
-    and converts ints in a display to floats. `wanted` is only a hint: the result may be of another type.
+    `wanted` is the type that the context expects, if this type is known. An empty display, such as `[]`, gets the type
+    `wanted`, and ints in a display are converted to floats. The result may be of another type than `wanted`.
     """
     return CHECKERS[type(node)](node, c, wanted)
 
@@ -191,5 +191,5 @@ def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | a
 
 
 def has_call(node: ir.Expr, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
-    """Return whether an expression contains a call of one of `kinds`."""
+    """Return whether an expression contains a call, of one of the node classes in `kinds`."""
     return any(isinstance(part, kinds) for part in walk(node))

@@ -86,7 +86,7 @@ class Context(Reporter):
     def broken(self) -> frozenset[str]:
         """Names that occur in text that could not be parsed.
 
-        This text may declare the names, so their uses are not reported as undefined.
+        The text may declare these names, so uses of these names are not reported as undefined.
         """
         from koordgen.lang.syntax.walk import broken_names
 
@@ -109,7 +109,9 @@ class Context(Reporter):
         """
         edits = (Edit(span, new),) if edits is None else edits
         message = f"{old} is the 2020 dialect's spelling of {new}"
-        self.found.append(Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites it", edits))
+        self.found.append(
+            Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites the old spelling", edits)
+        )
 
     def poison(self, span: Span, *parts: Expr) -> Expr:
         """Return poison: an expression whose error is already reported.

@@ -42,7 +42,7 @@ _DEEPEST = 20  # limit on the nesting of types
 def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
     """Return the IR's type for a written type. Reports a type that does not exist and returns POISON.
 
-    Its capacities are the defaults of shared variables. Only a port may be a PathPlanner or a stream.
+    The type's capacities are the defaults of shared variables. Only a port may be a PathPlanner or a stream.
     """
     if isinstance(node, tree.NamedType):
         return _named(node.name, node.span, c, port)
@@ -75,7 +75,7 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
         c.error("K014", f"{name} needs the types of its contents", span, f"write {name}<{_example_types(name)}>")
     else:
         help = c.suggestion(name, [*NAMED, *GENERIC, *c.types], _MEANT)
-        define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
+        define = f"define the record: 'def {name}:' with its fields" if name[0].isupper() else ""
         c.error("K016", f"{name} is not a type", span, help or define)
     return POISON
 

@@ -44,8 +44,8 @@ class Discarded(Exception):
 Call = Callable[[str, tuple[Value, ...]], Value]
 Spend = Callable[[int, Span], None]
 MAX_ELEMENTS = 100_000  # elements of a list, set, map or queue, or characters of a string, that an event may make
-ELEMENTS_A_TURN = 100  # reading or making this many elements costs one turn of the event's budget of loop turns
-PAIRS_A_TURN = 10  # comparing this many pairs of points of two paths costs one turn of the event's budget
+ELEMENTS_A_TURN = 100  # elements that an event may read or make for one turn of its budget
+PAIRS_A_TURN = 10  # pairs of points of two paths whose comparison costs one turn of the event's budget
 MOST_COUNTED = 100_000_000  # limit on a count of elements; a read of this many costs an event's whole budget
 
 

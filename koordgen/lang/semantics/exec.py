@@ -110,7 +110,7 @@ def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
 
 
 def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, world: World) -> Value:
-    """Call an extern function, which is written in Python. Raises ValueError if it fails or breaks its contract."""
+    """Call an extern function, a Python function. Raises ValueError if the function fails or breaks its contract."""
     name = function.name
     view = view._replace(temps={p.name: arg for p, arg in zip(function.parameters, args, strict=True)})
     for formula in function.requires:

@@ -359,7 +359,7 @@ Go:
         (
             "k = 3",
             "k is not defined",
-            "declare it: 'int k = 3'; declare k under 'local:' to keep it for later events",
+            "declare k: 'int k = 3'; declare k under 'local:' to keep it for later events",
         ),
         ("k = n / 2\n    b = k > 3", "k is not defined", "'float k = n / 2'"),
         ("k = [1]\n    k.append(2)", "k is not defined", "'List<int> k = [1]'"),

@@ -1,8 +1,8 @@
 """Decision procedure for linear integer conditions: refutes formulas, or finds satisfying examples.
 
-`unsat` is sound: if it returns True, no integers satisfy the formulas. It uses Fourier-Motzkin elimination, with bounds
-tightened to integers, on each branch of the disjunctions. `find` searches an example among small values. Neither is
-complete: if both fail, it remains unknown whether the formulas can be satisfied.
+`unsat` is sound: if `unsat` returns True, no integers satisfy the formulas. The procedure is Fourier-Motzkin
+elimination, with bounds tightened to integers, on each branch of the disjunctions. `find` searches an example among
+small values. Neither function is complete: if both fail, it is unknown whether integers satisfy the formulas.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def _holds_at_limits(rows: list[Linear], limits: _Limits) -> bool:
 
 
 def _truth_within(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
-    """Return whether the variables' limits and the facts decide that a formula holds; None if they do not."""
+    """Return whether a formula holds, if the variables' limits and the facts decide this; else None."""
     match formula:
         case AtLeastZero(linear):
             least, most = _least(linear, limits, 1), _least(linear, limits, -1)

@@ -38,8 +38,8 @@ _FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 class KnownCondition(Node):
     """Condition that is known to hold.
 
-    `about` is the set of the variables that it depends on. `origin` is the condition in the program from which it was
-    derived.
+    `about` is the set of the variables that the condition depends on. `origin` is the condition in the program from
+    which this condition was derived.
     """
 
     formula: Formula
@@ -157,7 +157,7 @@ class Flow(Node):
         return flow.assuming(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
 
     def joined(self, other: Flow) -> Flow:
-        """Return the facts after two paths meet: those that are known at the ends of both."""
+        """Return the facts after two paths meet: the facts that are known at the ends of both paths."""
         if self is other:
             return self
         same = {id(known) for known in other.known}

@@ -1,9 +1,9 @@
 """Loop invariants by induction: conditions that hold before a loop, and that each iteration preserves.
 
-Candidates are the program's loop invariants, and bounds that are guessed: a variable stays above (or below) its initial
-value, and within the bound that the condition of `while` sets. A candidate that is not proved on each path through the
-block is dropped, and the others are tried again without it. The remaining candidates are known inside the loop, and
-after it if they also hold at each `break`.
+Candidates are the program's loop invariants, and guessed bounds: a variable stays above (or below) its initial value,
+and within the bound that the condition of `while` sets. A candidate that is not proved on each path through the block
+is dropped, and the other candidates are tried again. The candidates that remain are known inside the loop. They are
+known after the loop, too, if they also hold at each `break`.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ _MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 _VARIABLES = frozenset((ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead, ir.ParamRead))
 _PARTS = frozenset((ir.SlotRead, ir.Field, ir.Item, ir.At, ir.LocalOf, ir.PortOf))
 _SIZE, _PID = linear.variable(linear.N_SYS), linear.variable(linear.PID)
-# Change of the length by each updating builtin. A builtin that is missing here may change the length in any way.
+# Change of the length by each updating builtin. A builtin without an entry may change the length in any way.
 _STEPS = {"appended": 1, "inserted": 1, "removed": -1, "without": -1, "popped": -1, "updated": 0, "sorted": 0,
           "reversed": 0, "set_without": -1, "map_without": -1, "keys": 0, "values": 0, "items": 0}  # fmt: skip
 
@@ -262,7 +262,7 @@ def nonzero(node: ir.Expr, flow: Flow) -> Formula:
 
 
 def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
-    """Return the known value of a variable after `node` is assigned to it; None if nothing is known."""
+    """Return the known value of a variable after the assignment of `node`; None if the value is unknown."""
     if node.type is INT:
         return term(node, flow)
     if node.type is BOOL:

@@ -1,4 +1,4 @@
-"""K042: an event whose guard holds only if the guard of an earlier event holds. The earlier event then runs instead."""
+"""K042: an event that never runs, because an earlier event is enabled whenever this event is."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
 _SHORTER = frozenset(("popped", "without", "removed", "set_without", "map_without"))
-_HELP = "a round must end: compare a number in the condition, and let every path through the loop change it by a step"
+_HELP = "compare a number in the condition, and let every path through the loop change the number by a step"
 
 
 class _Wrong(Exception):
@@ -27,7 +27,7 @@ class _Wrong(Exception):
 
 
 def check_end(node: stmt.While, reporter: Reporter) -> None:
-    """Warn of a loop that is not proved to end, unless it contains an error."""
+    """Warn of a loop that is not proved to end, unless the loop contains an error."""
     if not _ends(node) and not any(_is_wrong(part) for part in walk(node)):
         reporter.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
 
@@ -71,7 +71,7 @@ def _moves_towards(moved: ir.Expr, other: ir.Expr, step: int, block: stmt.Block)
 
 
 def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
-    """Return whether a block may change a bound's value. Writing a list's elements does not change its length."""
+    """Return whether a block may change a bound's value. A write of an element does not change the length of a list."""
     written = list(writes(block))
     changed, resized = {name for name, _ in written}, {name for name, same_length in written if not same_length}
     pending: list[Node] = [bound]

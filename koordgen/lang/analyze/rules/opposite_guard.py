@@ -10,7 +10,7 @@ from koordgen.lang.source import Span
 
 
 def help_by_negation(written: Span, a: Analysis) -> None:
-    """Suggest the negated guard if it would make every index and divisor of the event right.
+    """Suggest the negated guard if this guard would make every index and divisor of the event right.
 
     `written` is the span of the guard.
     """

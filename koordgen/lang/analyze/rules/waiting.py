@@ -1,6 +1,6 @@
-"""K041: events that can never run, because they wait for a bool that only waiting events change.
+"""K041, unless K042 is reported: events that wait for a bool that only waiting events change.
 
-Other rules report other events that can never run, as K041 or K042. This rule leaves such events out.
+Such events can never run. Events that another rule has reported, as K041 or K042, are left out.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter:
     """Warn of each event that waits for a local bool variable that only waiting events change.
 
     An event waits for a bool variable if its guard needs the variable to differ from its initial value. A variable that
-    no event sets is not reported: it is taken for a switch that the author sets in the text of the program. `is_whole`
+    no event sets is not reported: such a variable is a switch that the author sets in the program's text. `is_whole`
     returns whether all of the text could be parsed.
     """
     starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}

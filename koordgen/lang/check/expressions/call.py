@@ -141,7 +141,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"}
     )
     taken = "..." if node.args else ""
-    define = f"define it: 'fun {name}({taken}) -> Type:', or in Python 'extern fun {name}({taken}) -> Type'"
+    define = f"define {name}: 'fun {name}({taken}) -> Type:', or in Python 'extern fun {name}({taken}) -> Type'"
     return c.error("K010", f"{name} is not defined", function.span, help or define, (), *args)
 
 
@@ -291,7 +291,7 @@ def _is_unknown(name: str, c: Context) -> bool:
 
 
 def report_no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
-    """Report that a value has no such method, and suggest what to write."""
+    """Report a call of a method that a value does not have, and suggest what to write."""
     type_, name, text = operand.type, function.name, c.text(function.value.span)
     word = type_word(type_)
     if field_of(type_, name) is not None:
@@ -330,7 +330,8 @@ def _function(
         return c.error(
             "K025", f"an initial value cannot call {name}", function.span, "set the variable in init", (), *args
         )
-    if isinstance(entity, decl.SpecFunction) and c.place != "property":  # not in contracts: robots check them
+    # Contracts cannot call a spec function either, because robots check contracts.
+    if isinstance(entity, decl.SpecFunction) and c.place != "property":
         message = f"{name} is declared by 'spec fun': it can only be used in properties"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
         return c.error("K027", message, function.span, help, (), *args)
@@ -447,8 +448,7 @@ def match_argument(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | Non
     """Match an argument with the pattern of its parameter: a type that may contain type variables.
 
     Returns the argument, converted to a float if the pattern is float, or None if the argument does not match. Adds to
-    `bound`
-    the types to which the match binds type variables.
+    `bound` the types to which the match binds type variables.
     """
     type_ = value.type
     if type_ is pattern:

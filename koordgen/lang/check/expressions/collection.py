@@ -268,7 +268,7 @@ def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.E
     return ir.Slice(operand, ends[0], ends[1], ends == [None, None], type_, node.span)
 
 
-# Containment
+# Containment: `in` and `not in`
 
 
 def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c: Context) -> ir.Expr:

@@ -127,7 +127,7 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
         if left.type != right.type:
             help = f"to make a number of the bool, write '(1 if {c.text(held.span)} else 0)'"
     elif op == "*" and left.type is POINT and right.type is POINT:
-        help = "multiply their coordinates: p.x * q.x + p.y * q.y"
+        help = "multiply the coordinates of the points: p.x * q.x + p.y * q.y"
     elif op in ("+", "-") and POINT in (left.type, right.type):
         help = "add a Point to a Point: p + Point(x, y, z)"
     elif op == "+" and isinstance(left.type, Sequence) and same_type(left.type.element, right.type):

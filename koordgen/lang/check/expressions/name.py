@@ -378,7 +378,7 @@ def methods_of(type_: Type) -> list[str]:
 
 
 def report_no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
-    """Report that a value has no such field, and suggest what to write."""
+    """Report a read of a field that a value does not have, and suggest what to write."""
     type_, name, text = operand.type, node.name, c.text(node.value.span)
     fields = fields_of(type_)
     if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or str(type_) == "string"):

@@ -84,7 +84,7 @@ def write(target: AssignmentTarget, value: ir.Expr, reads: bool, span: Span, c: 
     hoist(span, c, out)
     if c.place == "init" and type(place) is stmt.SharedPlace:
         if (reads or not target.whole) and place.name not in c.written:
-            help = "build the value in a variable of the block, then assign it to the shared variable"
+            help = "build the value in a variable of the block, then assign that variable to the shared one"
             c.error("K023", f"init cannot change {place.name}, only set it: it is shared", span, help)
         else:
             c.written.add(place.name)
@@ -221,7 +221,7 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
             help = "declare a stream: 'using Log:' with 'stream stdout' under it"
             c.error("K056", f"{c.text(head.span)} is not a stream", head.span, help)
     elif port is not None and port.type is STREAM:
-        help = "write to it in the event that calls the function"
+        help = "write to the stream in the event that calls the function"
         c.error("K027", "a function has no effects: it cannot write to a stream", span, help)
     elif port is not None and port.type is not POISON:
         c.error("K056", f"{module.name}.{port.name} is {with_article(port.type)}, not a stream", head.span)

@@ -137,7 +137,7 @@ def _unknown(node: ast.Name, c: Context) -> None:
 
 def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
     """Return the help for an assignment to an undeclared variable: the text of a declaration."""
-    return f"declare it: '{type_} {name} = {value}'"
+    return f"declare {name}: '{type_} {name} = {value}'"
 
 
 def _slot(node: ast.Index, entity: Shared, c: Context) -> AssignmentTarget | None:
