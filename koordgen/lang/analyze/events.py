@@ -102,6 +102,6 @@ def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
             pending += [node.left, node.right]
         else:
             # `a.text` has only the first line of a condition, so longer conditions are also compared by line number.
-            spread = node.span.line != node.span.end_line
-            found.add(f"{a.text(node.span)} {node.span.line if spread else ''}")
+            line = node.span.line if node.span.line != node.span.end_line else ""
+            found.add(f"{a.text(node.span)} {line}")
     return frozenset(found)

@@ -303,8 +303,8 @@ def _asked(node: ir.PortCall, view: View) -> Value:
 def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
     """Return the result of `compute`, which evaluates `node`.
 
-    If `compute` fails, raises Discarded at the node's span; raises InternalError if `proved`, which means that the
-    analysis has proved that the node cannot fail.
+    If `compute` fails, raises Discarded at the node's span; raises InternalError instead if `proved`: the analysis has
+    proved that the node cannot fail.
     """
     try:
         return compute()

@@ -86,7 +86,7 @@ def power(base: Any, exponent: Any) -> Fraction:
     ZeroDivisionError for a negative power of zero.
     """
     if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
-        raise NotExact("a power that is no rational number")
+        raise NotExact("a power that is not a rational number")
     if abs(exponent) * (_bits(Fraction(base)) - 1) > MAX_BITS:
         raise NotExact(_TOO_LONG)
     return within_exact(Fraction(base) ** int(exponent))
@@ -118,7 +118,7 @@ def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
 
 
 def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
-    """Return the squared distance of the segments pq and rs.
+    """Return the squared distance of two segments: from p to q, and from r to s.
 
     The squared distance of the points p + x (q - p) and r + y (s - r) is a convex function of x and y. Its least value
     for 0 <= x <= 1 and 0 <= y <= 1 is at one end of a segment, or where both partial derivatives are zero.
@@ -138,7 +138,7 @@ def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
 
 
 def _beyond(x: Point, p: Point, q: Point) -> Fraction:
-    """Return the squared distance of a point from the segment pq."""
+    """Return the squared distance of a point from the segment between p and q."""
     w = _minus(x, p)
     if p == q:
         return _dot(w, w)

@@ -125,7 +125,7 @@ def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, 
     view = view._replace(temps={**view.temps, "result": result})
     for formula in function.ensures:
         if not holds(formula, view):
-            raise ValueError(f"{name} returned {result!r}, which violates its ensures")
+            raise ValueError(f"{name} returned {result!r}, which violates an 'ensures' of its contract")
     return result
 
 
@@ -147,7 +147,9 @@ class Run:
         self.view = view._replace(
             locals=self.locals, temps=self.temps, slots=self.slots, cells=self.cells, ports=self.ports
         )
-        self.written: dict[tuple[str, str], Span] = {}  # (kind, name) -> span of the last statement that wrote it
+        self.written: dict[
+            tuple[str, str], Span
+        ] = {}  # (kind, name) of a variable or port -> span of the last statement that wrote to it
         self.returned: Value | None = None
 
     def result(self, function: decl.Function) -> Value:

@@ -111,7 +111,7 @@ _TOO_LONG = f"an int of more than {MAX_BITS} bits"
 
 
 def compared(op: str, left: Value, right: Value) -> bool:
-    """Compare two values of one type. Raises NotANumber if one of them contains NaN."""
+    """Compare two values of one type. Raises NotANumber if one of the values contains NaN."""
     if has_nan(left) or has_nan(right):
         raise NotANumber
     match op:

@@ -15,7 +15,7 @@ from koordgen.lang.semantics.state import NOTHING, State, Store, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, select
 
 Environment = Callable[[State], Iterable[State]]
-# A state, the name of the event that led to it, the pid of its robot (None: all robots), and the number of the round.
+# A state, the event that led to the state, the pid of the event's robot (None: all robots), the number of the round.
 Happened = tuple[State, str, int | None, int]
 
 

@@ -34,8 +34,8 @@ class Step(NamedTuple):
 def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Value]] = ()) -> State:
     """Return the state before `init` runs, in which all variables have their initial values.
 
-    `sensors` has one mapping for each robot, from "Module.port" to a value. The value of an actuator is that of the
-    sensor named by its `at` mark, so that a `target` is the robot's position, unless `sensors` has a value for it.
+    `sensors` has one mapping for each robot, from "Module.port" to a value. An actuator without a value
+    in `sensors` has the value of the sensor that its `at` mark names: with `target at position`, the robot's position.
     """
     constants = library(program, n_sys, {}, NOTHING, Budget(), no_port)
     params = {p.name: constant(p.default, constants, p.type) for p in program.params}

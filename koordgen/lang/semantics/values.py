@@ -174,7 +174,7 @@ def has_nan(value: object) -> bool:
 
 
 def flaw(value: Any, type_: Type) -> str:
-    """Return the reason why a value cannot be stored in a variable, slot or actuator of a type.
+    """Return the reason why a variable, slot or actuator of type `type_` cannot store a value.
 
     Returns an empty string if the value can be stored.
 

@@ -70,11 +70,12 @@ def _element_refuted(
         if example is None:
             continue
         robot, shown = robots_of(side, value, example, a)
-        such = f"index {shown} of {linear.show(size)} elements ({example_text(example, value)})"
+        count, case = linear.show(size), example_text(example, value)
         if certain:
-            a.site_error("K030", f"{robot} reads {text}: {such}", span)
+            a.site_error("K030", f"{robot} reads {text}: index {shown} of {count} elements ({case})", span)
         else:
-            a.warn("K034", f"{robot} may read {text}: {such}", span, help_at_run_time(a))
+            message = f"{robot} may read {text}: index {shown} of {count} elements ({case})"
+            a.warn("K034", message, span, help_at_run_time(a))
         return True
     return False
 

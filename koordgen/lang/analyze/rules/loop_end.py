@@ -19,7 +19,10 @@ from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
 _SHORTER = frozenset(("popped", "without", "removed", "set_without", "map_without"))
-_HELP = "compare a number in the condition, and let every path through the loop change the number by a step"
+_HELP = (
+    "a round must end: compare a number in the condition, and let every path through the loop "
+    "change the number by a step"
+)
 
 
 class _Wrong(Exception):

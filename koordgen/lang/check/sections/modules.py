@@ -102,12 +102,11 @@ def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Con
         c.error("K059", f"this module has no sensor '{name}'", mark.span, "declare the sensor under 'sensors:'")
         return False
     if sensor.type != type_ and POISON not in (sensor.type, type_):
-        wanted = (
-            f"'clears' takes sensors of type {type_}"
-            if mark.word == "clears"
-            else f"the actuator is {with_article(type_)}"
-        )
-        c.error("K059", f"the sensor '{name}' is {with_article(sensor.type)}; {wanted}", mark.span)
+        found = f"the sensor '{name}' is {with_article(sensor.type)}"
+        if mark.word == "clears":
+            c.error("K059", f"{found}; 'clears' takes sensors of type {type_}", mark.span)
+        else:
+            c.error("K059", f"{found}; the actuator is {with_article(type_)}", mark.span)
         return False
     return True
 
