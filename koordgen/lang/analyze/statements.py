@@ -15,7 +15,7 @@ from koordgen.lang.analyze.facts.induction import (
     assuming,
     declared_candidates,
     guessed_bounds,
-    kept,
+    proved_candidates,
     writes,
 )
 from koordgen.lang.analyze.facts.path import Condition, Path, is_open, joined
@@ -308,7 +308,7 @@ def _iteration(
     if head is None or not doubtful or a.loops >= MOST_LOOPS:
         return block
     whole = model(block)
-    found = kept(whole, [*declared_candidates(invariants), *guessed_bounds(whole, condition)])
+    found = proved_candidates(whole, [*declared_candidates(invariants), *guessed_bounds(whole, condition)])
     if not found.inside:
         return block
     a.restore(saved_state)
@@ -323,7 +323,7 @@ def _point_after_loop(model: LoopModel, invariants: tuple[stmt.LoopInvariant, ..
     """
 
     def known() -> Flow:
-        found = kept(model, [*declared_candidates(invariants), *guessed_bounds(model, condition)])
+        found = proved_candidates(model, [*declared_candidates(invariants), *guessed_bounds(model, condition)])
         return after_loop(model, found)
 
     return Path((), known)

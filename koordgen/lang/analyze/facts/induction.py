@@ -74,7 +74,7 @@ class _TooManyPaths(Exception):
     """Raised if there are more than `MOST_PATHS` paths through a loop's block."""
 
 
-def kept(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
+def proved_candidates(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
     """Return the candidates that always hold at the loop's head.
 
     The result is sound: each candidate is proved before the loop, and also at the end of each path through the block,

@@ -82,7 +82,7 @@ class Condition:
         return self._formula
 
 
-def known(flow: Flow) -> Path:
+def point_with_facts(flow: Flow) -> Path:
     """Return a program point at which the given facts are known."""
     path = Path()
     path._flow = flow

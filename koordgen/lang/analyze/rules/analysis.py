@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from koordgen.lang.analyze.facts.linear import Formula
-from koordgen.lang.analyze.facts.path import Condition, Path, known
+from koordgen.lang.analyze.facts.path import Condition, Path, point_with_facts
 from koordgen.lang.analyze.facts.runs import Loop
 from koordgen.lang.analyze.facts.terms import Flow, term
 from koordgen.lang.ir.decl import Param
@@ -77,7 +77,7 @@ class Analysis(Reporter):
 
     @flow.setter
     def flow(self, flow: Flow | None) -> None:
-        self.path = None if flow is None else known(flow)
+        self.path = None if flow is None else point_with_facts(flow)
 
     def saved_state(self) -> SavedState:
         """Return a copy of the current state, to which `restore` can return."""

@@ -69,7 +69,7 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         return _method(node, function, c) if module is None else _port_call(node, module, function, c)
     if type(function) is not ast.Name:
         called = check_expr(function, c)
-        args = skip(node, c)
+        args = checked_arguments(node, c)
         if called.type is POISON:
             return c.poison(node.span, called, *args)
         return c.error("K017", "this is not a function", function.span, "", (), called, *args)
@@ -96,7 +96,7 @@ def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     entity = c.entities[function.name]
     match entity:
         case None:
-            return c.poison(node.span, *skip(node, c))
+            return c.poison(node.span, *checked_arguments(node, c))
         case decl.Record():
             return _record(entity, node, c)
         case decl.Function() | decl.ExternFunction() | decl.SpecFunction():
@@ -105,7 +105,7 @@ def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
             return _not_a_function(node, function, c)
 
 
-def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
+def checked_arguments(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
     """Check and return the arguments of a wrong call, so that errors within the arguments are reported, too."""
     checked = []
     for arg in node.args:
@@ -122,7 +122,7 @@ def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
 
 def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
-    args = skip(node, c)
+    args = checked_arguments(node, c)
     if name == "range":
         help = "use range in a loop: 'for i in range(n):'"
         return c.error("K017", "range(...) is not a value", node.span, help, (), *args)
@@ -157,11 +157,11 @@ def positional_arguments(
     """
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
-            args = skip(node, c)
+            args = checked_arguments(node, c)
             help = "only the fields of a record can be given by name"
             return c.error("K014", f"{name} takes its arguments without names", arg.span, help, (), *args)
     if len(node.args) not in count:
-        args = skip(node, c)
+        args = checked_arguments(node, c)
         plural = "" if count[-1] == 1 else "s"
         many = " or ".join(map(str, count)) if count[-1] else "no"
         message = f"{name} takes {many} argument{plural}, not {len(node.args)}"
@@ -261,12 +261,12 @@ def _applied(
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if isinstance(function.value, ast.Name) and _is_unknown(function.value.name, c) and function.name in FUNCTIONS:
-        args = skip(node, c)  # for example math.sqrt(2)
+        args = checked_arguments(node, c)  # for example math.sqrt(2)
         message, help = f"{function.value.name} is not defined", f"write {function.name}(...)"
         return c.error("K010", message, function.value.span, help, (), *args)
     operand = check_expr(function.value, c)
     if operand.type is POISON:
-        return c.poison(node.span, operand, *skip(node, c))
+        return c.poison(node.span, operand, *checked_arguments(node, c))
     type_, name = operand.type, function.name
     word = "List" if isinstance(type_, PerRobot) else type_word(type_)
     signature = METHODS.get((word, name))
@@ -276,7 +276,7 @@ def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
         if not isinstance(nodes, tuple):
             return c.poison(node.span, operand, nodes)
         return _applied(name, signature, nodes, usage, node.span, c, operand)
-    parts = (operand, *skip(node, c))
+    parts = (operand, *checked_arguments(node, c))
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
         help = f"write 'x = {text}.pop()', and use x" if name == "pop" else f"call {name} on a line of its own"
@@ -348,9 +348,9 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     port = declared_port(module, function, c)
     name = f"{module.name}.{function.name}"
     if port is None or port.type is POISON:
-        return c.poison(node.span, *skip(node, c))
+        return c.poison(node.span, *checked_arguments(node, c))
     if port.type is not PLANNER:
-        skipped = skip(node, c)
+        skipped = checked_arguments(node, c)
         return c.error(
             "K017", f"{name} is {with_article(port.type)} and is not called", function.span, "", (), *skipped
         )
@@ -392,7 +392,7 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
     usage = f"{type_.name} has the fields {', '.join(names)}"
     before_names = len([arg for arg in node.args if not isinstance(arg, ast.Keyword)])
     if before_names > len(names):
-        args = skip(node, c)
+        args = checked_arguments(node, c)
         message = f"{type_.name} has {len(names)} fields, not {before_names}"
         return c.error("K014", message, node.span, usage, (), *args)
     poisoned, named = False, False

@@ -184,7 +184,7 @@ def _chain(node: ast.Compare, c: Context) -> ir.Expr:
         else:
             if has_call(left, (ir.PortCall,)):
                 help = "save the port's answer in a variable first"
-                return c.error("K027", "a call of a port is not allowed within a chain", left.span, help)
+                return c.error("K027", "a call of a port is not allowed within a chain of comparisons", left.span, help)
             right = check_expr(right_node, c, left.type)
         pair = _pair(op, left, right, node.span, c)
         poisoned = poisoned or pair.type is POISON

@@ -10,7 +10,7 @@ from typing import TypeGuard
 
 from koordgen.lang.check.base import check_expr, converted, converted_argument, has_call, is_poisoned, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
-from koordgen.lang.check.expressions.call import positional_arguments, report_no_method, skip
+from koordgen.lang.check.expressions.call import checked_arguments, positional_arguments, report_no_method
 from koordgen.lang.check.expressions.collection import element
 from koordgen.lang.check.expressions.name import (
     FOREIGN,
@@ -263,7 +263,7 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)
     if target is None or target.read.type is POISON:
-        skip(node, c)
+        checked_arguments(node, c)
         return None
     type_, name = target.read.type, function.name
     word = type_word(type_)
@@ -271,7 +271,7 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
         return _pop(target, node, c)
     update = UPDATES.get((word, name))
     if update is None:
-        skip(node, c)
+        checked_arguments(node, c)
         report_no_method(target.read, function, c)
         return None
     types = _arguments(type_, name)
