@@ -252,11 +252,11 @@ def _unchanged(flow: Flow) -> Flow:
 def _counting(
     unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
-    """Return `first`, `next`, `last`, `counter` and `stop` of `LoopModel` for a loop over a range or over ID.
+    """Return five fields of `LoopModel` for a loop over a range or ID: `first`, `next`, `last`, `counter`, `stop`.
 
     The functions `first`, `next` and `last` set the loop's variable to its first, next and last value; an unknown
-    value gives no facts. `stop` is the first value that the variable does not take. It is None if the value is unknown
-    or may change in the loop, and for a variable that counts down.
+    value gives no facts. `stop` is the first value that the variable does not take, or None. It is None if the value
+    is unknown or may change in the loop, and for a variable that counts down.
     """
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)

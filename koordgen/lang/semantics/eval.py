@@ -46,7 +46,7 @@ Spend = Callable[[int, Span], None]
 MAX_ELEMENTS = 100_000  # elements of a list, set, map or queue, or characters of a string, that an event may make
 ELEMENTS_A_TURN = 100  # elements that an event may read or make for one turn of its budget
 PAIRS_A_TURN = 10  # pairs of points of two paths whose comparison costs one turn of the event's budget
-MOST_COUNTED = 100_000_000  # limit on a count of elements; a read of this many costs an event's whole budget
+MOST_COUNTED = 100_000_000  # limit on a count of elements, whose read would use up an event's whole budget
 
 
 class View(NamedTuple):

@@ -181,7 +181,7 @@ def applied(name: str, args: list[Any]) -> Any:
         case "sum", [xs]:
             return reduce(lambda total, x: within_exact(total + x), xs, type(xs[0])())
         case _:
-            raise NotExact(f"{name} of exact numbers")
+            raise NotExact(f"{name} has no exact result")
 
 
 _INEXACT = frozenset((int, float, bool, str))

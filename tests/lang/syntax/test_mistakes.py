@@ -381,7 +381,7 @@ Go:
         ("b = Motion.target > Motion.target", "'>' does not apply to a Point and a Point", "distances"),
         ("Motion.target = Motion.target + 1", "'+' does not apply to a Point and an int", "Point(x, y, z)"),
         ("Go()", "Go is an event and is not called", "by their guards"),
-        ("if b:\n      int k = n\n    n = k", "k is not defined here", "declare it before the block: 'int k'"),
+        ("if b:\n      int k = n\n    n = k", "k is not defined here", "declare k before the block: 'int k'"),
         ("if b:\n      int k = n\n    k = n\n    n = k", "k is not defined here", "before the block: 'int k'"),
     ],
 )

@@ -181,7 +181,7 @@ def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
                 pass
 
 
-# Candidates
+# Candidates for loop invariants
 
 
 def declared_candidates(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:

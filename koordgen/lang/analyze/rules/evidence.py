@@ -151,8 +151,8 @@ def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: 
     a.path = here
     if found is None:
         return False
-    at, such = found
-    message = f"for {a.loop.name} = {linear.show(at)}, {a.text(span)} {wrong}{such}"
+    at, example = found
+    message = f"for {a.loop.name} = {linear.show(at)}, {a.text(span)} {wrong}{example}"
     a.site_error("K030", message, span, f"the first index is 0, and the last is {many} - 1")
     return True
 

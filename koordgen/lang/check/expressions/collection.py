@@ -44,7 +44,7 @@ from koordgen.lang.syntax import expr as ast
 _INTS = list_of(INT)
 
 
-# Displays
+# Displays: `[a]`, `{a}`, `{a: b}`, `(a, b)`
 
 
 def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -154,7 +154,7 @@ def _no_key(type_: Type, what: str, span: Span, c: Context) -> ir.Expr:
     )
 
 
-# Indices
+# Indices and slices: `xs[i]`, `xs[a:b]`
 
 
 def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -358,7 +358,7 @@ def _step(node: ir.Expr) -> int:
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Check a quantifier. A quantifier of several names becomes nested quantifiers over the same domain."""
     if c.place not in ("property", "contract", "assume") and c.entry is None:
-        help = "use a loop: 'for i in ID:'"
+        help = "use a loop in place of the quantifier: 'for i in ID:'"
         message = f"'{node.kind}' is only allowed in properties, contracts and loop invariants"
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)

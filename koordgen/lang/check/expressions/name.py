@@ -247,7 +247,7 @@ def report_ended(name: str, span: Span, c: Context) -> bool:
     for statement in _backwards(section, here):
         match statement:
             case tree.Declare(type_, declared, place) if declared == name:
-                help = f"declare it before the block: '{c.text(type_.span)} {name}'"
+                help = f"declare {name} before the block: '{c.text(type_.span)} {name}'"
             case tree.For(names=names) if name in [part.name for part in names]:
                 place, help = statement.span, _LOOP
             case tree.CountedFor(ast.Name(counter)) if counter == name:

@@ -166,7 +166,7 @@ def _port(module: Module, node: ast.Attribute, c: Context) -> AssignmentTarget |
     elif port.direction == "stream":
         c.error("K056", f"{name} is a stream and cannot be assigned", node.span, f"write {name} << ...")
     else:
-        c.error("K022", f"{name} is called and cannot be assigned", node.span)
+        c.error("K022", f"{name} is a callable port and cannot be assigned", node.span)
     return None
 
 
