@@ -48,7 +48,7 @@ CATALOGUE: dict[str, str] = {
     "K031": "index may name no robot",
     "K032": "division by zero",
     "K033": "divisor may be zero",
-    "K034": "index may leave its range",
+    "K034": "index may be out of range",
     "K035": "a loop that is not proved to end",
     "K036": "index counts from the end",
     "K040": "update may be lost",

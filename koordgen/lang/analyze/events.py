@@ -22,8 +22,8 @@ def analyze_events(written: Sequence[decl.Event], a: Analysis) -> list[tuple[dec
     """Analyse the events. Returns them without their locks, each with its first `atomic`, or None."""
     found: list[tuple[decl.Event, Atomic | None]] = []
     earlier: list[AnalysedEvent] = []
-    by_condition: dict[str, list[AnalysedEvent]] = {}  # `earlier`, by the least condition of each guard
-    transactions = "atomic" in a.source.text  # without this word in the text, no event is searched
+    by_condition: dict[str, list[AnalysedEvent]] = {}  # events in `earlier`, by one condition of the guard
+    transactions = "atomic" in a.source.text  # if False, no event is searched for `atomic`
     for event in written:
         atomic = _first_atomic(event) if transactions else None
         analyzed = _event(event, atomic is not None, earlier, by_condition, a)
@@ -97,11 +97,11 @@ def _conditions(guard: ir.Expr, a: Analysis) -> frozenset[str]:
     while pending:
         node = pending.pop()
         if isinstance(node, ir.Make) and node.type is POISON and isinstance(node.items[0], ir.Logic):
-            node = node.items[0]  # the two conditions of an 'and' of which one has an error
+            node = node.items[0]  # an 'and' in which one condition has an error
         if isinstance(node, ir.Logic) and node.op == "and":
             pending += [node.left, node.right]
         else:
-            # `a.text` has only the first line of a condition. Of a longer condition the line number is compared, too.
-            spread = node.span.line != node.span.end_line
-            found.add(f"{a.text(node.span)} {node.span.line if spread else ''}")
+            # `a.text` has only the first line of a condition, so longer conditions are also compared by line number.
+            line = node.span.line if node.span.line != node.span.end_line else ""
+            found.add(f"{a.text(node.span)} {line}")
     return frozenset(found)

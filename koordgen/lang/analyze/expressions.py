@@ -127,7 +127,7 @@ def _quantified(node: ir.Quantified, a: Analysis) -> ir.Expr:
 
 def _at(node: ir.At, a: Analysis) -> ir.Expr:
     operand, index = analyze_expression(node.operand, a), analyze_expression(node.index, a)
-    if _is_last(operand, index) and index.span is node.span:  # `pop()`: nobody wrote this index, so it is not reported
+    if _is_last(operand, index) and index.span is node.span:  # `pop()` has an index only in the IR: nothing to report
         proved = node.proved or has_element(operand, a)
     else:
         proved = node.proved or element_proved(operand, index, node.span, a)
@@ -169,7 +169,7 @@ def _builtin(node: ir.Builtin, a: Analysis) -> ir.Expr:
 
 
 _Rule = Callable[[Any, Analysis], ir.Expr]
-# Function that analyses each class of node. A class that is missing in this table has no parts and no rule.
+# Class of node -> function that analyses the node. A class that is missing in this table has no parts and no rule.
 _RULES: dict[type, _Rule] = {
     ir.Pid: _pid,
     ir.LocalRead: _local,

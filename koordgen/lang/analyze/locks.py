@@ -1,4 +1,4 @@
-"""Locks of transactions: groups of shared variables with a common lock, and the events that need it."""
+"""Locks of transactions: groups of shared variables with a common lock, and the events that need each lock."""
 
 from __future__ import annotations
 

@@ -194,7 +194,7 @@ class _Reader:
         seen: set[Expr] = set()
         for item in items:
             if item in seen:
-                raise BadParam(f"{what} has one of its elements twice")
+                raise BadParam(f"{what} has an element that occurs twice")
             seen.add(item)
 
 

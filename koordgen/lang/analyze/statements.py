@@ -15,7 +15,7 @@ from koordgen.lang.analyze.facts.induction import (
     assuming,
     declared_candidates,
     guessed_bounds,
-    kept,
+    proved_candidates,
     writes,
 )
 from koordgen.lang.analyze.facts.path import Condition, Path, is_open, joined
@@ -140,7 +140,7 @@ def _if(node: stmt.If, a: Analysis) -> stmt.If:
     return stmt.If(condition, then, orelse, node.span)
 
 
-# Loops: facts inside and after them
+# Loops: facts inside and after a loop
 
 
 def _for(node: stmt.For, a: Analysis) -> stmt.For:
@@ -182,7 +182,7 @@ def _for(node: stmt.For, a: Analysis) -> stmt.For:
 
 
 def _written_name(temp: str, head: str) -> str:
-    """Return the name of a loop's variable in the program's text; in the IR it may have a number appended."""
+    """Return the name of a loop's variable in the program's text. Its name in the IR, `temp`, may end with a number."""
     name = re.sub(r"_\d+$", "", temp)
     return temp if re.search(rf"\b{temp}\b", head) else name
 
@@ -223,7 +223,7 @@ def _while(node: stmt.While, a: Analysis) -> stmt.While:
 def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tuple[stmt.LoopInvariant, ...]:
     """Analyse the invariants of a loop, without checks of their indices and divisors.
 
-    These checks are not needed, because monitors report an invariant that has no value when the program runs. An
+    The checks are not needed: when the program runs, monitors report an invariant that has no value. An
     invariant's reads of shared variables do not count for the rule on lost updates, because no write depends on them.
     """
     if not invariants:
@@ -236,9 +236,9 @@ def _invariants(invariants: tuple[stmt.LoopInvariant, ...], a: Analysis) -> tupl
 
 
 def _changed(block: stmt.Block) -> tuple[frozenset[str], frozenset[str]]:
-    """Return two sets: the variables that a loop's block may change, and those whose lengths it does not change.
+    """Return two sets: the variables that a loop's block may change, and those of them that keep their lengths.
 
-    The variables are named as in a Flow.
+    The sets contain the names that a Flow uses, such as "local count".
     """
     found = list(writes(block))
     changed = frozenset([name for name, _ in found])
@@ -252,11 +252,11 @@ def _unchanged(flow: Flow) -> Flow:
 def _counting(
     unique: str, values: ir.Expr, before: Flow, changed: frozenset[str], sized: frozenset[str], block: stmt.Block
 ) -> tuple[Step, Step, Step, str, linear.Linear | None]:
-    """Return `first`, `next`, `last`, `counter` and `stop` of `LoopModel` for a loop over a range or over ID.
+    """Return five fields of `LoopModel` for a loop over a range or ID: `first`, `next`, `last`, `counter`, `stop`.
 
-    The functions `first`, `next` and `last` set the loop's variable to its first, next and last value; of an unknown
-    value no facts are known. `stop` is the first value that the variable does not take. It is None if it is unknown;
-    it can be known only for a variable that counts up.
+    The functions `first`, `next` and `last` set the loop's variable to its first, next and last value; an unknown
+    value gives no facts. `stop` is the first value that the variable does not take, or None. It is None if the value
+    is unknown or may change in the loop, and for a variable that counts down.
     """
     name = f"temp {unique}"
     first: linear.Linear | None = linear.constant(0)
@@ -308,7 +308,7 @@ def _iteration(
     if head is None or not doubtful or a.loops >= MOST_LOOPS:
         return block
     whole = model(block)
-    found = kept(whole, [*declared_candidates(invariants), *guessed_bounds(whole, condition)])
+    found = proved_candidates(whole, [*declared_candidates(invariants), *guessed_bounds(whole, condition)])
     if not found.inside:
         return block
     a.restore(saved_state)
@@ -323,7 +323,7 @@ def _point_after_loop(model: LoopModel, invariants: tuple[stmt.LoopInvariant, ..
     """
 
     def known() -> Flow:
-        found = kept(model, [*declared_candidates(invariants), *guessed_bounds(model, condition)])
+        found = proved_candidates(model, [*declared_candidates(invariants), *guessed_bounds(model, condition)])
         return after_loop(model, found)
 
     return Path((), known)

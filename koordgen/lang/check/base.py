@@ -38,8 +38,8 @@ _DISPLAYS = frozenset((ast.ListDisplay, ast.SetDisplay, ast.MapDisplay, ast.Tupl
 def check_expr(node: ast.Expr, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Return the typed form of an expression. Its type is POISON if it is wrong; the error is then already reported.
 
-    `wanted` is the type that the context expects, if that is known. It gives an empty display, such as `[]`, its type,
-    and converts ints in a display to floats. `wanted` is only a hint: the result may be of another type.
+    `wanted` is the type that the context expects, if this type is known. An empty display, such as `[]`, gets the type
+    `wanted`, and ints in a display are converted to floats. The result may be of another type than `wanted`.
     """
     return CHECKERS[type(node)](node, c, wanted)
 
@@ -66,12 +66,12 @@ def help_for_bool(value: ir.Expr, c: Context, op: str = "!=") -> str:
     """
     type_, text = value.type, c.text(value.span)
     if type_ in NUMBERS:
-        return f"compare it: '{text} {op} 0'"
+        return f"compare the number: '{text} {op} 0'"
     if isinstance(type_, (Sequence, MapOf)):
-        return f"compare its length: 'len({text}) {'>' if op == '!=' else '=='} 0'"
+        return f"compare the length: 'len({text}) {'>' if op == '!=' else '=='} 0'"
     if type_ == STRING:
-        return f"compare it: '{text} {op} \"\"'"
-    return "compare it with '=='"
+        return f"compare the string: '{text} {op} \"\"'"
+    return "compare the value with '=='"
 
 
 def is_poisoned(parts: Iterable[ir.Expr]) -> bool:
@@ -191,5 +191,5 @@ def is_display(node: ast.Expr) -> TypeGuard[ast.ListDisplay | ast.SetDisplay | a
 
 
 def has_call(node: ir.Expr, kinds: tuple[type, ...] = (ir.Call, ir.ExternCall, ir.PortCall)) -> bool:
-    """Return whether an expression contains a call of one of `kinds`."""
+    """Return whether an expression contains a call, of one of the node classes in `kinds`."""
     return any(isinstance(part, kinds) for part in walk(node))

@@ -64,7 +64,7 @@ class Context(Reporter):
         super().__init__(source)
         self.program = program
         self.owners: dict[str, Node] = {}  # name -> syntax node that declares it; filled before `entities`
-        self.entities: dict[str, Entity | None] = {}  # None: its declaration is wrong, so its uses are not reported
+        self.entities: dict[str, Entity | None] = {}  # by name; None if the declaration is wrong: uses are not reported
         self.types: dict[str, Type | None] = {}  # records and extern types by name; None: the declaration is wrong
         self.imported: dict[str, Import] = {}  # imported variable -> the import that declares it
         self.calls: dict[str, set[str]] = {}  # function -> the functions it calls
@@ -89,7 +89,7 @@ class Context(Reporter):
     def broken(self) -> frozenset[str]:
         """Names that occur in text that could not be parsed.
 
-        This text may declare the names, so their uses are not reported as undefined.
+        The text may declare these names, so uses of these names are not reported as undefined.
         """
         from koordgen.lang.syntax.walk import broken_names
 
@@ -112,7 +112,9 @@ class Context(Reporter):
         """
         edits = (Edit(span, new),) if edits is None else edits
         message = f"{old} is the 2020 dialect's spelling of {new}"
-        self.found.append(Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites it", edits))
+        self.found.append(
+            Diagnostic("K050", "note", message, span, (), "`koordgen fmt --upgrade` rewrites the old spelling", edits)
+        )
 
     def poison(self, span: Span, *parts: Expr) -> Expr:
         """Return poison: an expression whose error is already reported.
@@ -122,7 +124,7 @@ class Context(Reporter):
         return Make(parts, POISON, span) if parts else Const(0, POISON, span)
 
     def temp(self, name: str) -> Temp | None:
-        if name in self.minted:  # every name in a scope is also in `minted`, and looking there is faster
+        if name in self.minted:  # `minted` has the names of all scopes, and a look-up in it is faster
             for scope in reversed(self.scopes):
                 if name in scope:
                     return scope[name]
@@ -153,7 +155,7 @@ class Context(Reporter):
         return [*(n for scope in self.scopes for n in scope), *self.entities, *PREDEFINED]
 
 
-# Blocks of statements: dispatch.
+# Dispatch of the checks of statements.
 
 Out = list[Draft]  # output of a statement's check: one statement may become several
 # Checker function of each class of statement in the syntax tree; stmt.py and invariant.py fill this table.
@@ -170,4 +172,4 @@ def check_block(block: tree.Block, c: Context) -> stmt.Block:
     for statement in block:
         STATEMENTS[type(statement)](statement, c, checked)
     c.scopes.pop()
-    return cast(stmt.Block, tuple(checked))  # the second check removes draft nodes
+    return cast(stmt.Block, tuple(checked))  # the second check removes the draft nodes from the block

@@ -13,7 +13,7 @@ def topological_order(edges: Mapping[str, Iterable[str]]) -> tuple[list[str], li
     """
     done: list[str] = []
     cycles: list[list[str]] = []
-    depth: dict[str, int] = {}  # index of each name on the current path from a root; -1: name is in `done`
+    depth: dict[str, int] = {}  # name -> its index in `path`; -1 if the name is in `done`
     caught: set[str] = set()
     for root in edges:
         if root in depth:

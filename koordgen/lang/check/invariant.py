@@ -16,7 +16,7 @@ from koordgen.lang.syntax import stmt as tree
 Invariants = tuple[stmt.LoopInvariant, ...]
 
 _HEAD = "write the invariant first in the block of 'for' or 'while'"
-_LEAST = "an invariant is also evaluated after the last iteration, without an element: loop over range(len(...))"
+_LEAST = "an invariant is also evaluated after the last iteration, when there is no element: loop over range(len(...))"
 
 
 def split_invariants(block: tree.Block) -> tuple[tuple[tree.Invariant, ...], tree.Block]:
@@ -97,7 +97,9 @@ def check_old(node: ast.Call, c: Context) -> ir.Expr:
 def report_port_call(name: str, node: ast.Call, c: Context) -> ir.Expr:
     """Report a call of a port in a loop invariant."""
     help = f"call {name} before the loop and save the answer: ... = {name}(...)"
-    return c.error("K058", f"a loop invariant cannot call {name}: its answer is an input of the event", node.span, help)
+    return c.error(
+        "K058", f"a loop invariant cannot call {name}: the answer of a port is an input of the event", node.span, help
+    )
 
 
 def _misplaced(node: tree.Invariant, c: Context, out: Out) -> None:

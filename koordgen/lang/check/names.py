@@ -29,7 +29,7 @@ def claim_names(program: ast.Program, c: Context) -> None:
         match section:
             case ast.Variables(kind, variables):
                 for variable in variables:
-                    if not isinstance(variable.type, BrokenType):  # else the parser only guessed the variable's name
+                    if not isinstance(variable.type, BrokenType):  # else the name is only the parser's guess
                         _claim(variable.name, variable, kind, kinds, c)
             case ast.Using(name):
                 if not isinstance(c.owners.get(name), ast.Using):
@@ -90,9 +90,9 @@ def enter(name: str, node: Owner, entity: Entity | None, c: Context) -> None:
 
 
 def unique(name: str, what: str, span: Span, seen: dict[str, Span], c: Context) -> bool:
-    """Return whether a name occurs for the first time in `seen`, such as the fields of one record.
+    """Add a name to `seen`, such as a field of a record, and return whether the name is new.
 
-    A second use of the name is reported as an error.
+    Reports a name that is already in `seen`.
     """
     first = seen.setdefault(name, span)
     if first is span:

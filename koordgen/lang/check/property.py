@@ -87,9 +87,9 @@ def _parameter_types(node: object, name: str, c: Context) -> Iterator[Type]:
 
 
 def _argument_indices(node: object, name: str, module: str, ports: set[str]) -> Iterator[int]:
-    """Yield the index of each argument of the module's callable ports that consists of `name`.
+    """Yield the index of each argument that is just `name`, in calls of the module's callable ports.
 
-    Occurrences of the name that a quantifier binds are left out.
+    Leaves out occurrences of the name that a quantifier binds.
     """
     if isinstance(node, tree.Quantified) and any(bound.name == name for bound in node.names):
         node = node.domain

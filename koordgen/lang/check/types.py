@@ -40,9 +40,9 @@ _DEEPEST = 20  # limit on the nesting of types
 
 
 def resolve(node: tree.TypeExpr, c: Context, port: bool = False) -> Type:
-    """Return the type of the IR; POISON after reporting a type that does not exist.
+    """Return the IR's type for a written type. Reports a type that does not exist and returns POISON.
 
-    Its capacities are the defaults of shared variables. Only a port may be a PathPlanner or a stream.
+    The type's capacities are the defaults of shared variables. Only a port may be a PathPlanner or a stream.
     """
     if isinstance(node, tree.NamedType):
         return _named(node.name, node.span, c, port)
@@ -59,7 +59,7 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     known = NAMED.get(name)
     if known is not None:
         if (known is PLANNER or known is STREAM) and not port:
-            c.error("K017", f"a {name} is a port, not a value", span, "declare it under 'using'")
+            c.error("K017", f"a {name} is a port, not a value", span, "declare the port under 'using'")
             return POISON
         return known
     if name in c.types:
@@ -70,12 +70,12 @@ def _named(name: str, span: Span, c: Context, port: bool) -> Type:
     if name in c.broken:
         return POISON
     if name in ("Rect", "Ball"):
-        c.error("K017", f"a {name} is a region, not a value", span, "write it on the right of 'in'")
+        c.error("K017", f"a {name} is a region, not a value", span, "write the region on the right of 'in'")
     elif name in GENERIC:
         c.error("K014", f"{name} needs the types of its contents", span, f"write {name}<{_example_types(name)}>")
     else:
         help = c.suggestion(name, [*NAMED, *GENERIC, *c.types], _MEANT)
-        define = f"define it: 'def {name}:' with its fields" if name[0].isupper() else ""
+        define = f"define the record: 'def {name}:' with its fields" if name[0].isupper() else ""
         c.error("K016", f"{name} is not a type", span, help or define)
     return POISON
 
@@ -86,7 +86,9 @@ def _example_types(name: str) -> str:
 
 def _composed(node: tree.GenericType | tree.TupleType | tree.BrokenType, c: Context, depth: int) -> Type:
     if depth > _DEEPEST:
-        c.error("K007", f"this type is nested more than {_DEEPEST} deep", node.span, "declare records for parts of it")
+        c.error(
+            "K007", f"this type is nested more than {_DEEPEST} deep", node.span, "declare records for parts of the type"
+        )
         return POISON
     match node:
         case tree.BrokenType():
@@ -118,7 +120,7 @@ def _generic(name: str, args: tuple[tree.TypeExpr, ...], span: Span, c: Context,
         return POISON
     if name in ("Set", "Map") and not is_key(parts[0]):
         what = "an element of a Set" if name == "Set" else "the key of a Map"
-        help = "an int, a bool, a string, or a tuple of these"
+        help = "use an int, a bool, a string, or a tuple of these types"
         c.error("K052", f"{parts[0]} cannot be {what}", args[0].span, help)
         return POISON
     if name == "Map":
@@ -153,7 +155,7 @@ def is_fleet_size(size: ast.Expr, c: Context) -> bool:
 
 
 def with_capacities(type_: Type, capacities: tuple[ast.Expr, ...], local: bool, c: Context) -> Type:
-    """Return the type with its declared capacities, given from the outermost type to the inner types (pre-order).
+    """Return the type with the capacities of its declaration: the outermost type's first (pre-order).
 
     Without declared capacities, the type has the default capacities of local variables if `local`, else those of shared
     variables. The fields of a record keep the capacities that the record declares.

@@ -66,13 +66,13 @@ def contains(xs: Any, item: Any) -> bool:
 
 
 def set_of(values: List) -> List:
-    """Return the set of these values: a tuple in ascending order without duplicates."""
+    """Return the set of the given values: a tuple in ascending order without duplicates."""
     ordered = sorted(values)
     return tuple([value for i, value in enumerate(ordered) if i == 0 or ordered[i - 1] < value])
 
 
 def map_of(pairs: List) -> List:
-    """Return the map that consists of these pairs of a key and a value, in ascending order of the keys.
+    """Return the map that consists of the given pairs (key, value), in ascending order of the keys.
 
     If a key occurs in several pairs, the last of these pairs is kept.
     """

@@ -18,7 +18,8 @@ from typing import NamedTuple
 class OutOfTime(BaseException):
     """Signal that the run of a program has passed its deadline and has no result.
 
-    It derives from BaseException, so that no `except Exception` in an extern function or in the evaluator catches it.
+    The class derives from BaseException, so that no `except Exception` in an extern function or in the evaluator
+    catches the signal.
     """
 
 

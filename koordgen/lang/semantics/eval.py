@@ -44,9 +44,9 @@ class Discarded(Exception):
 Call = Callable[[str, tuple[Value, ...]], Value]
 Spend = Callable[[int, Span], None]
 MAX_ELEMENTS = 100_000  # elements of a list, set, map or queue, or characters of a string, that an event may make
-ELEMENTS_A_TURN = 100  # reading or making this many elements costs one turn of the event's budget of loop turns
-PAIRS_A_TURN = 10  # comparing this many pairs of points of two paths costs one turn of the event's budget
-MOST_COUNTED = 100_000_000  # elements are counted up to this number, which costs as much as any event's whole budget
+ELEMENTS_A_TURN = 100  # elements that an event may read or make for one turn of its budget
+PAIRS_A_TURN = 10  # pairs of points of two paths whose comparison costs one turn of the event's budget
+MOST_COUNTED = 100_000_000  # limit on a count of elements, whose read would use up an event's whole budget
 
 
 class View(NamedTuple):
@@ -98,7 +98,7 @@ def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
     """
     one = node.type.element if isinstance(node.type, PerRobot) else node.type
     if isinstance(one, (Scalar, Extern)) or isinstance(node, ir.Ids):
-        return value  # reading a scalar, or one scalar for each robot, costs no turn of the event's budget
+        return value  # a read of a scalar, or of one scalar for each robot, costs no turn of the event's budget
     turns = elements_in(value, MOST_COUNTED) // ELEMENTS_A_TURN
     if turns:
         view.spend(turns, node.span)
@@ -121,13 +121,14 @@ def operand(node: ir.Expr, view: View) -> Value:
 def evaluate(node: ir.Expr, view: View) -> Value:
     """Return the value of a checked expression.
 
-    Raises Discarded if it has no value, or InternalError if the analysis has proved that the failing node cannot fail.
+    Raises Discarded if the expression has no value, but InternalError if the analysis has proved that the failing
+    node cannot fail.
     """
     return MEANINGS[type(node)](node, view)
 
 
 def holds(node: ir.Expr, view: View) -> bool:
-    """Return the value of a condition. Raises Discarded if it has no value."""
+    """Return the value of a condition. Raises Discarded if the condition has no value."""
     return as_(bool, evaluate(node, view))
 
 
@@ -200,7 +201,7 @@ def _contains(node: ir.Contains, view: View) -> Value:
 
 
 def _compare(node: ir.Compare, view: View) -> Value:
-    value = evaluate if node.left.type == STRING else operand  # comparing strings is not charged
+    value = evaluate if node.left.type == STRING else operand  # comparing strings costs no turn
     left, right = value(node.left, view), value(node.right, view)
     return _guarded(node, lambda: compared(node.op, left, right))
 
@@ -276,7 +277,9 @@ def _argument(name: str, arg: ir.Expr, view: View) -> Value:
 
 
 def _pairs(name: str, values: Sequence[Value]) -> int:
-    """Return the number of pairs of points to compare, with 1 added to each path's length for empty paths."""
+    """Return the number of pairs of points to compare.
+
+    Each path counts as one point longer than it is, so that a comparison with an empty path has a cost, too."""
     others = [values[1]] if name == "path_distance" else items(values[1])
     return (len(items(values[0])) + 1) * sum([len(items(other)) + 1 for other in others])
 
@@ -300,8 +303,8 @@ def _asked(node: ir.PortCall, view: View) -> Value:
 def _guarded(node: ir.Expr, compute: Callable[[], Value], proved: bool = False) -> Value:
     """Return the result of `compute`, which evaluates `node`.
 
-    If `compute` fails, raises Discarded at the node's span; raises InternalError if `proved`, which means that the
-    analysis has proved that the node cannot fail.
+    If `compute` fails, raises Discarded at the node's span; raises InternalError instead if `proved`: the analysis has
+    proved that the node cannot fail.
     """
     try:
         return compute()

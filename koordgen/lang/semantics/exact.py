@@ -63,7 +63,7 @@ Exact = Fraction | Root
 
 
 def root(square: Fraction | int) -> Exact:
-    """Return the square root: a Fraction if it is rational, else a Root. Raises ValueError below zero."""
+    """Return the square root of a number: a Fraction if it is rational, else a Root. Raises ValueError below zero."""
     exact = Fraction(square)
     if exact < 0:
         raise ValueError("math domain error")
@@ -86,7 +86,7 @@ def power(base: Any, exponent: Any) -> Fraction:
     ZeroDivisionError for a negative power of zero.
     """
     if isinstance(base, Root) or isinstance(exponent, Root) or Fraction(exponent).denominator != 1:
-        raise NotExact("a power that is no rational number")
+        raise NotExact("a power that is not a rational number")
     if abs(exponent) * (_bits(Fraction(base)) - 1) > MAX_BITS:
         raise NotExact(_TOO_LONG)
     return within_exact(Fraction(base) ** int(exponent))
@@ -118,7 +118,7 @@ def _segments(path: tuple[Point, ...]) -> list[tuple[Point, Point]]:
 
 
 def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
-    """Return the squared distance of the segments pq and rs.
+    """Return the squared distance of two segments: from p to q, and from r to s.
 
     The squared distance of the points p + x (q - p) and r + y (s - r) is a convex function of x and y. Its least value
     for 0 <= x <= 1 and 0 <= y <= 1 is at one end of a segment, or where both partial derivatives are zero.
@@ -138,7 +138,7 @@ def _squared(p: Point, q: Point, r: Point, s: Point) -> Fraction:
 
 
 def _beyond(x: Point, p: Point, q: Point) -> Fraction:
-    """Return the squared distance of a point from the segment pq."""
+    """Return the squared distance of a point from the segment between p and q."""
     w = _minus(x, p)
     if p == q:
         return _dot(w, w)
@@ -181,7 +181,7 @@ def applied(name: str, args: list[Any]) -> Any:
         case "sum", [xs]:
             return reduce(lambda total, x: within_exact(total + x), xs, type(xs[0])())
         case _:
-            raise NotExact(f"{name} of exact numbers")
+            raise NotExact(f"{name} has no exact result")
 
 
 _INEXACT = frozenset((int, float, bool, str))
@@ -211,7 +211,7 @@ def made_exact(value: Any) -> Any:
         return Grid(value.x, value.y, made_exact(value.size))
     if type(value) is tuple:
         return tuple([made_exact(part) for part in value])
-    if isinstance(value, tuple):  # a record
+    if isinstance(value, tuple):  # a Koord record is a subclass of tuple
         return type(value)(*[made_exact(part) for part in value])
     return value
 
@@ -242,7 +242,7 @@ def _exact(node: Node) -> Node:
 
 
 def _summed(values: expr.Expr, whole: expr.Expr, span: Span) -> expr.Expr:
-    """Return the expression `whole`, a sum over `values`, changed to give an exact zero for an empty list."""
+    """Return the expression `whole`, a sum over `values`, changed so that the sum of an empty list is an exact zero."""
     some = expr.Compare("<", expr.Const(0, INT, span), expr.Builtin("len", (values,), INT, span), BOOL, span)
     return expr.Conditional(some, whole, expr.Const(Fraction(0), FLOAT, span), FLOAT, span)  # type: ignore[arg-type]
 

@@ -26,7 +26,7 @@ from koordgen.lang.semantics.state import World
 from koordgen.lang.semantics.values import Value, as_, conforms, encodable, flaw, items
 from koordgen.lang.source import Span
 
-MAX_TURNS = 1_000_000  # budget of loop turns of one event, beyond what a robot can run in a round
+MAX_TURNS = 1_000_000  # budget of loop turns of one event, more than a robot can run in a round
 UNFINISHED = "it is not finished by the end of the round"
 
 
@@ -65,7 +65,7 @@ class Budget:
     def spend(self, turns: int, span: Span) -> None:
         """Subtract a number of turns from the budget.
 
-        Raises Discarded if too few turns remain, and OutOfTime if the deadline has passed.
+        Raises Discarded if the budget has too few turns left, and OutOfTime if the deadline has passed.
         """
         self.left -= turns
         if self.left < 0:
@@ -110,7 +110,7 @@ def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
 
 
 def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, world: World) -> Value:
-    """Call an extern function, which is written in Python. Raises ValueError if it fails or breaks its contract."""
+    """Call an extern function, a Python function. Raises ValueError if the function fails or breaks its contract."""
     name = function.name
     view = view._replace(temps={p.name: arg for p, arg in zip(function.parameters, args, strict=True)})
     for formula in function.requires:
@@ -125,7 +125,7 @@ def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, 
     view = view._replace(temps={**view.temps, "result": result})
     for formula in function.ensures:
         if not holds(formula, view):
-            raise ValueError(f"{name} returned {result!r}, which violates its ensures")
+            raise ValueError(f"{name} returned {result!r}, which violates an 'ensures' of its contract")
     return result
 
 
@@ -147,7 +147,9 @@ class Run:
         self.view = view._replace(
             locals=self.locals, temps=self.temps, slots=self.slots, cells=self.cells, ports=self.ports
         )
-        self.written: dict[tuple[str, str], Span] = {}  # (kind, name) -> span of the last statement that wrote it
+        self.written: dict[
+            tuple[str, str], Span
+        ] = {}  # (kind, name) of a variable or port -> span of the last statement that wrote to it
         self.returned: Value | None = None
 
     def result(self, function: decl.Function) -> Value:
@@ -208,7 +210,7 @@ class Run:
         while True:
             value = next(values, None)
             if value is not None and isinstance(loop, stmt.For):
-                # As on robots, a `for` loop spends the turn before its invariants are evaluated.
+                # As on robots, a `for` loop spends the turn of an iteration before it evaluates the loop's invariants.
                 self.budget.spend(1, loop.span)
             self.check_invariants(loop.invariants)
             if value is None or (isinstance(loop, stmt.While) and not holds(loop.condition, self.view)):
@@ -278,8 +280,8 @@ class Run:
     def writes(self, stopped: bool) -> Writes | Discarded:
         """Return the event's writes, or Discarded if a variable or actuator cannot store the value written last.
 
-        If several cannot, the first in this order is reported, as on robots: local variables in the order of their
-        declarations, then shared variables, then actuators.
+        If several of them cannot, the first in this order is reported, as on robots: local variables in the order of
+        their declarations, then shared variables, then actuators.
         """
         types = declared(self.program)
         order = {name: place for place, name in enumerate(types)}

@@ -13,7 +13,7 @@ from koordgen.runtime.values.points import NotANumber, Point
 T = TypeVar("T")
 
 MAX_EXPONENT = 1024
-MAX_BITS = 4096  # limit on the size of an int
+MAX_BITS = 4096  # limit on the size of an int, in bits
 SMALL_BITS = 64  # MAX_BITS does not limit a sum or difference if one operand has at most this many bits
 
 
@@ -111,7 +111,7 @@ _TOO_LONG = f"an int of more than {MAX_BITS} bits"
 
 
 def compared(op: str, left: Value, right: Value) -> bool:
-    """Compare two values of one type. Raises NotANumber if one of them contains NaN."""
+    """Compare two values of one type. Raises NotANumber if one of the values contains NaN."""
     if has_nan(left) or has_nan(right):
         raise NotANumber
     match op:

@@ -25,8 +25,8 @@ class Asked(NamedTuple):
 def holds_property(property_: decl.Property, program: decl.Program, state: State, world: World = NOTHING) -> bool:
     """Return whether a property holds in a state between two rounds.
 
-    Raises Discarded if its formula has no value (for example, an index that names no robot), and NoMeaning if it calls
-    a `spec fun` that `world` does not define.
+    Raises Discarded if the formula has no value (for example, an index that names no robot), and NoMeaning if the
+    formula calls a `spec fun` that `world` does not define.
     """
     view = library(program, len(state.robots), state.params, world, Budget(world.turns), no_port)
     view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
@@ -59,8 +59,8 @@ def _goals(
 ) -> Iterator[dict[str, Value]]:
     """Yield values of an assumption's goals: each choice for which the robot made all calls in the formula.
 
-    A goal is an unbound name that the formula passes to a callable port. `patterns` lists the calls with goals. If
-    there are none left, yields `known`, the values that are chosen already.
+    A goal is an unbound name that the formula passes to a callable port. `patterns` lists the calls with goals. Without
+    patterns, yields `known`: the values that are already chosen.
     """
     if not patterns:
         yield known

@@ -15,7 +15,7 @@ from koordgen.lang.semantics.state import NOTHING, State, Store, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, select
 
 Environment = Callable[[State], Iterable[State]]
-# A state, the name of the event that led to it, the pid of its robot (None: all robots), and the number of the round.
+# A state, the event that led to the state, the pid of the event's robot (None: all robots), the number of the round.
 Happened = tuple[State, str, int | None, int]
 
 
@@ -42,7 +42,8 @@ def choice(
 ) -> Step | None:  # fmt: skip
     """Return the step in which a robot that has not stopped runs this event.
 
-    Returns None if the robot cannot run the event: see `choices`, which describes `begun`.
+    Returns None if the robot cannot run the event in this round. `begun` is the store at the round's start, as in
+    `choices`.
     """
     copy = state if begun is None else state._replace(store=begun)
     seen = copy if event.lock is None else state
@@ -77,7 +78,9 @@ def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: Wo
     other events by ascending pid. An event that is discarded may only be the last of a round.
     """
     before = run[0][0]
-    rounds_of: dict[int, tuple[State, list[tuple[int, str]]]] = {}  # number -> state at its start, steps
+    rounds_of: dict[
+        int, tuple[State, list[tuple[int, str]]]
+    ] = {}  # number of a round -> state at the round's start, steps
     for after, event, pid, number in run:
         if pid is not None and event != "init":
             rounds_of.setdefault(number, (before, []))[1].append((pid, event))
@@ -86,7 +89,7 @@ def is_order_of_agents(program: decl.Program, run: Sequence[Happened], world: Wo
 
 
 def _is_round_of_agents(program: decl.Program, begun: State, steps: Sequence[tuple[int, str]], world: World) -> bool:
-    locks: list[int] = []  # locks of the atomic events so far
+    locks: list[int] = []  # locks of the atomic events earlier in the round
     plain: list[int] = []  # pids of the robots that ran an event that is not atomic
     for pid, name in steps:
         chosen = select(program, begun, pid, world)

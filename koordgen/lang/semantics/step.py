@@ -34,8 +34,8 @@ class Step(NamedTuple):
 def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Value]] = ()) -> State:
     """Return the state before `init` runs, in which all variables have their initial values.
 
-    `sensors` has one mapping for each robot, from "Module.port" to a value. The value of an actuator is that of the
-    sensor named by its `holds` mark, so that a `target` is the robot's position, unless `sensors` has a value for it.
+    `sensors` has one mapping for each robot, from "Module.port" to a value. An actuator without a value
+    in `sensors` has the value of the sensor that its `at` mark names: with `target at position`, the robot's position.
     """
     constants = library(program, n_sys, {}, NOTHING, Budget(), no_port)
     params = {p.name: constant(p.default, constants, p.type) for p in program.params}
@@ -61,7 +61,7 @@ def initial(program: decl.Program, n_sys: int, sensors: Sequence[Mapping[str, Va
 
 
 def _held(program: decl.Program, sensors: Mapping[str, Value]) -> dict[str, Value]:
-    """Return the values of a robot's actuators before the first command: those of the sensors that they hold."""
+    """Return the values of a robot's actuators before the first command: the values of sensors named by `at` marks."""
     return {name: sensors[sensor] for name, sensor in held(program).items() if sensor in sensors}
 
 

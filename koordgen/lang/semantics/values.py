@@ -26,7 +26,7 @@ class RecordValue(NamedTuple):
 
 
 class Rect(NamedTuple):
-    """Box between two opposite corners; its faces belong to it."""
+    """Box between two opposite corners, including the faces of the box."""
 
     a: Point
     b: Point
@@ -80,7 +80,7 @@ def same(a: Value, b: Value) -> bool:
 
 
 def elements_in(value: object, most: int) -> int:
-    """Return the number of elements of a value, nested ones included; counting stops beyond `most`.
+    """Return the number of elements of a value, including nested elements. The count stops beyond `most`.
 
     Items of tuples, characters of strings, and rays of Scans are elements, and so are the pairs, keys and values of a
     map. CELLS_AN_ELEMENT cells of a GridMap count as one element.
@@ -174,7 +174,7 @@ def has_nan(value: object) -> bool:
 
 
 def flaw(value: Any, type_: Type) -> str:
-    """Return the reason why a variable, slot or actuator cannot store a value of its type.
+    """Return the reason why a variable, slot or actuator of type `type_` cannot store a value.
 
     Returns an empty string if the value can be stored.
 
@@ -200,7 +200,7 @@ def flaw(value: Any, type_: Type) -> str:
         case ExternType():
             return _excess(len(value.data), EXTERN_BYTES, "bytes")
         case PerRobot():
-            raise InternalError(f"nothing keeps a {type_}")
+            raise InternalError(f"variables and ports cannot store a {type_}")
         case _:
             assert_never(type_)
 

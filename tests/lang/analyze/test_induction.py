@@ -121,7 +121,7 @@ def no_continue(block: stmt.Block, flows: list[Flow], paths: induction._Paths) -
     return left
 
 
-KEPT, FOLLOW, HELD = induction.kept, induction._paths_through, induction._proved
+KEPT, FOLLOW, HELD = induction.proved_candidates, induction._paths_through, induction._proved
 
 
 SHOWN = {
@@ -180,8 +180,8 @@ def test_an_index_that_a_loop_may_leave_wrong_is_reported(block: str) -> None:
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
-        ("kept", not_established),
-        ("kept", not_kept),
+        ("proved_candidates", not_established),
+        ("proved_candidates", not_kept),
         ("_holds_after_loop", broken_off),
         ("_after_inner_loop", nothing_in_loops),
         ("_paths_through", no_continue),
@@ -189,7 +189,7 @@ def test_an_index_that_a_loop_may_leave_wrong_is_reported(block: str) -> None:
 )
 def test_a_seeded_fault_is_found(name: str, fault: Callable[..., object], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(induction, name, fault)
-    monkeypatch.setattr("koordgen.lang.analyze.statements.kept", induction.kept)
+    monkeypatch.setattr("koordgen.lang.analyze.statements.proved_candidates", induction.proved_candidates)
     assert not all(reported(block) for block in OPEN.values())
 
 

@@ -103,8 +103,8 @@ def test_no_first_value_becomes_infinite() -> None:
         ("tasks", [{"tags": ["a", "b", "c"]}], "param tasks has 3 elements, and at most 2 fit"),
         ("tasks", [{"tags": ["\N{SNOWMAN}\N{SNOWMAN}"]}], "param tasks has 6 bytes, and at most 4 fit"),
         ("table", {1: 1}, "param table[0][0] is of type string"),
-        ("odd", [[[1, True], 3], [[1, True], 4]], "param odd has one of its elements twice"),
-        ("some", [1, 1], "param some has one of its elements twice"),
+        ("odd", [[[1, True], 3], [[1, True], 4]], "param odd has an element that occurs twice"),
+        ("some", [1, 1], "param some has an element that occurs twice"),
         ("pairs", [[[1, 2, 3]]], "param pairs[0] is of type (Point, int), written [Point, int]"),
     ],
 )  # fmt: skip

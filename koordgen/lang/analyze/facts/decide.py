@@ -1,8 +1,8 @@
 """Decision procedure for linear integer conditions: refutes formulas, or finds satisfying examples.
 
-`unsat` is sound: if it returns True, no integers satisfy the formulas. It uses Fourier-Motzkin elimination, with bounds
-tightened to integers, on each branch of the disjunctions. `find` searches an example among small values. Neither is
-complete: if both fail, it remains unknown whether the formulas can be satisfied.
+`unsat` is sound: if `unsat` returns True, no integers satisfy the formulas. The procedure is Fourier-Motzkin
+elimination, with bounds tightened to integers, on each branch of the disjunctions. `find` searches an example among
+small values. Neither function is complete: if both fail, it is unknown whether integers satisfy the formulas.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def _unsat(formulas: tuple[Formula, ...]) -> bool:
 
 
 def relevant(facts: Iterable[Formula], about: Formula) -> tuple[Formula, ...]:
-    """Return the facts that are connected to a condition by shared variables.
+    """Return the facts that are connected to a condition by common variables.
 
     The other facts cannot help to refute the condition, unless they contradict each other. pid and N_SYS are always
     connected, by the facts about every fleet.
@@ -155,9 +155,9 @@ _ANY = (None, None)
 
 
 def _limits(rows: list[Linear]) -> _Limits | None:
-    """Return the bounds of each variable from the rows with no other variable.
+    """Return the bounds of each variable, derived from the rows that contain only this variable.
 
-    Returns None if some variable has no value.
+    Returns None if the bounds leave a variable no value.
     """
     limits: _Limits = {}
     for row in rows:
@@ -201,7 +201,7 @@ def _holds_at_limits(rows: list[Linear], limits: _Limits) -> bool:
 
 
 def _truth_within(formula: Formula, limits: _Limits, facts: dict[object, bool]) -> bool | None:
-    """Return whether the variables' limits and the facts decide that a formula holds; None if they do not."""
+    """Return whether a formula holds, if the variables' limits and the facts decide this; else None."""
     match formula:
         case AtLeastZero(linear):
             least, most = _least(linear, limits, 1), _least(linear, limits, -1)
@@ -337,7 +337,7 @@ def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | No
     tries = 0
     for position, size in enumerate(sizes):
         if possible is not None and position >= 5:
-            return possible  # larger fleets seldom give a certain example if small ones did not
+            return possible  # larger fleets seldom give a certain example if small fleets gave none
         for pid in dict.fromkeys(p for p in [*range(24), *range(size - 4, size), *near] if 0 <= p < size):
             tries += 1
             if tries > MOST_EXAMPLES:

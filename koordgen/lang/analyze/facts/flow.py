@@ -38,8 +38,8 @@ _FLEET: _Names = frozenset((linear.PID, linear.N_SYS))
 class KnownCondition(Node):
     """Condition that is known to hold.
 
-    `about` is the set of the variables that it depends on. `origin` is the condition in the program from which it was
-    derived.
+    `about` is the set of the variables that the condition depends on. `origin` is the condition in the program from
+    which this condition was derived.
     """
 
     formula: Formula
@@ -69,7 +69,7 @@ class Flow(Node):
         return None if found is None else found[0]
 
     def relevant(self, names: frozenset[str]) -> list[Formula]:
-        """Return the facts that are connected to `names` by shared variables.
+        """Return the facts that are connected to `names` by common variables.
 
         Other facts cannot help to refute a condition about these names, unless they contradict each other. pid and
         N_SYS are always connected, by the facts about every fleet.
@@ -92,7 +92,7 @@ class Flow(Node):
         return kept
 
     def assuming(self, condition: Formula, about: frozenset[str] | None = None) -> Flow:
-        """Return these facts with one more condition. `about` is the set of its variables, if the caller knows it."""
+        """Return these facts and one more condition. `about` is the set of the condition's variables, if known."""
         if condition is UNKNOWN or (type(condition) is And and not condition.parts):
             return self
         if about is None:
@@ -124,7 +124,7 @@ class Flow(Node):
 
         `value` is the new value or the new length; None if it is unknown.
 
-        Facts about the old value are dropped. An assignment such as `n = n + 1` rewrites them for the new value.
+        Facts about the old value are dropped. An assignment such as `n = n + 1` rewrites such facts for the new value.
         """
         if value is None:
             return self.forgetting(frozenset((name,)))
@@ -157,7 +157,7 @@ class Flow(Node):
         return flow.assuming(AtLeastZero(Linear(((var, 1),), -by))) if longer else flow
 
     def joined(self, other: Flow) -> Flow:
-        """Return the facts after two paths meet: those that are known at the ends of both."""
+        """Return the facts after two paths meet: the facts that are known at the ends of both paths."""
         if self is other:
             return self
         same = {id(known) for known in other.known}
@@ -168,7 +168,7 @@ class Flow(Node):
 
 
 def _range_of(name: str, value: Linear | Formula, names: _Names) -> list[KnownCondition]:
-    """Return the range of a variable whose value is a remainder. It stays known if the dividend changes later."""
+    """Return the range of a variable whose value is a remainder: a fact that stays true when the dividend changes."""
     match value:
         case Linear(((Remainder(_, divisor), 1),), 0) if not name.startswith("len "):
             term = linear.variable(name)
@@ -192,7 +192,7 @@ def _owner(name: str) -> str:
 def _remaining(known: KnownCondition, names: _Names) -> tuple[KnownCondition, ...]:
     """Return the part of a fact that stays true when some variables change.
 
-    From a conjunction, the parts that depend on these variables are removed.
+    The parts of a conjunction that depend on these variables are removed.
     """
     if known.about.isdisjoint(names):
         return (known,)

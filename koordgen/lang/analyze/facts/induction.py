@@ -1,9 +1,9 @@
 """Loop invariants by induction: conditions that hold before a loop, and that each iteration preserves.
 
-Candidates are the program's loop invariants, and bounds that are guessed: a variable stays above (or below) its initial
-value, and within the bound that the condition of `while` sets. A candidate that is not proved on each path through the
-block is dropped, and the others are tried again without it. The remaining candidates are known inside the loop, and
-after it if they also hold at each `break`.
+Candidates are the program's loop invariants, and guessed bounds: a variable stays above (or below) its initial value,
+and within the bound that the condition of `while` sets. A candidate that is not proved on each path through the block
+is dropped, and the other candidates are tried again. The candidates that remain are known inside the loop. They are
+known after the loop, too, if they also hold at each `break`.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class _TooManyPaths(Exception):
     """Raised if there are more than `MOST_PATHS` paths through a loop's block."""
 
 
-def kept(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
+def proved_candidates(model: LoopModel, candidates: list[Candidate]) -> ProvedCandidates:
     """Return the candidates that always hold at the loop's head.
 
     The result is sound: each candidate is proved before the loop, and also at the end of each path through the block,
@@ -159,7 +159,7 @@ def _paths_through(block: stmt.Block, flows: list[Flow], paths: _Paths) -> list[
 
 
 def _after_inner_loop(loop: stmt.For | stmt.While, flow: Flow) -> Flow:
-    """Return the facts after a nested loop: facts about variables that it may write are dropped."""
+    """Return the facts after a nested loop. Facts about variables that the nested loop may write are dropped."""
     changed = {name for name, _ in writes(loop.block)}
     sized = changed - {name for name, same_length in writes(loop.block) if not same_length}
     if isinstance(loop, stmt.For):
@@ -181,7 +181,7 @@ def writes(block: stmt.Block) -> Iterator[tuple[str, bool]]:
                 pass
 
 
-# Candidates
+# Candidates for loop invariants
 
 
 def declared_candidates(invariants: tuple[stmt.LoopInvariant, ...]) -> list[Candidate]:
@@ -212,7 +212,7 @@ def guessed_bounds(model: LoopModel, condition: ir.Expr | None) -> list[Candidat
         if isinstance(begin, Linear) and independent(begin, model.changed, model.sized):
             found += [_at_least(read, begin), _at_most(read, begin)]
         found += _known(read, model)
-        if model.stop is not None:  # a loop may search an index: a saved index is at most the current index
+        if model.stop is not None:  # a search loop may save the index of an element: at most the current index
             here = linear.variable(model.counter)
             found += [_at_most(read, here), _at_most(read, linear.combine(here, linear.constant(-1)))]
             found.append(_at_most(read, linear.combine(model.stop, linear.constant(-1))))
@@ -268,7 +268,7 @@ def _at_most(read: ir.Expr, bound: Linear) -> Candidate:
 
 
 def _bound_at(bound: Linear, flow: Flow) -> Linear:
-    """Return a bound at a point, with each variable replaced by its value if that is known there."""
+    """Return a bound at a point: each variable in it whose value is known at the point is replaced by the value."""
     for var, _ in bound.terms:
         known = flow.value(var) if isinstance(var, str) else None
         if isinstance(var, str) and isinstance(known, Linear):

@@ -197,7 +197,7 @@ def _derived(var: Quotient | Remainder | ConditionalTerm | Length | Value, value
 
 
 def truth(formula: Formula, values: Mapping[str, int]) -> bool | None:
-    """Return whether a formula holds for these values; None if this depends on something unknown."""
+    """Return whether a formula holds for the given values; None if this depends on an unknown value or condition."""
     match formula:
         case AtLeastZero(linear):
             value = value_of(linear, values)

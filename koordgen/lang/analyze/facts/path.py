@@ -52,11 +52,11 @@ class Path:
                     path._before, path._step = (), Flow
 
     def passing(self, condition: Condition) -> Path:
-        """Return the point after this one on the path on which a condition, evaluated here, is true."""
+        """Return the next point on the path on which a condition, evaluated at this point, is true."""
         return Path((self,), lambda flow: flow.assuming(condition.formula))
 
     def failing(self, condition: Condition) -> Path:
-        """Return the point after this one on the path on which a condition, evaluated here, is false."""
+        """Return the next point on the path on which a condition, evaluated at this point, is false."""
         return Path((self,), lambda flow: flow.assuming(linear.negate(condition.formula)))
 
     def assigning(self, place: stmt.Place, value: ir.Expr) -> Path:
@@ -76,13 +76,13 @@ class Condition:
 
     @property
     def formula(self) -> Formula:
-        """Formula of this condition. It is always the same object, so that it can be compared by identity."""
+        """Formula of this condition: always the same object, so that formulas can be compared by identity."""
         if self._formula is None:
             self._formula = formula(self.node, self._path.flow)
         return self._formula
 
 
-def known(flow: Flow) -> Path:
+def point_with_facts(flow: Flow) -> Path:
     """Return a program point at which the given facts are known."""
     path = Path()
     path._flow = flow
@@ -117,7 +117,7 @@ def is_open(condition: ir.Expr, mentioned: AbstractSet[str]) -> bool:
 
 
 def _is_free(node: ir.Expr, names: list[str]) -> bool:
-    """Return whether a condition has the form that `is_open` describes. Adds its variables to `names`."""
+    """Return whether a condition only compares literal numbers with variables. Adds the variables to `names`."""
     kind = type(node)
     if kind is ir.Logic:
         return _is_free(node.left, names) and _is_free(node.right, names)  # type: ignore[union-attr]

@@ -1,7 +1,7 @@
 """Values of a `for` loop's variable in its first and last iteration, for loops over a range or `ID`.
 
-They are computed only if every iteration is certain to evaluate a given expression, such as an index. If the expression
-is wrong for one of these values, it is certainly wrong when the loop runs.
+The values are computed only if every iteration evaluates a given expression, such as an index. If the expression is
+wrong for one of these values, the loop is certain to fail.
 """
 
 from __future__ import annotations
@@ -116,9 +116,9 @@ def _in_block(block: Sequence[draft.Draft], span: Span) -> bool:
 
 
 def _in_expression(root: ir.Expr, span: Span) -> bool:
-    """Return whether the evaluation of an expression always evaluates the part of it at `span`.
+    """Return whether the evaluation of an expression always evaluates its part at `span`.
 
-    Returns False if an `and`, `or`, `if` or quantifier may skip it.
+    Returns False if an `and`, `or`, `if` or quantifier may skip the part.
     """
     pending: list[Node] = [root]
     while pending:

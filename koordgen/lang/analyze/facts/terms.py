@@ -30,7 +30,7 @@ _MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
 _VARIABLES = frozenset((ir.LocalRead, ir.TempRead, ir.SharedRead, ir.PortRead, ir.ParamRead))
 _PARTS = frozenset((ir.SlotRead, ir.Field, ir.Item, ir.At, ir.LocalOf, ir.PortOf))
 _SIZE, _PID = linear.variable(linear.N_SYS), linear.variable(linear.PID)
-# Change of the length by each updating builtin. A builtin that is missing here may change the length in any way.
+# Change of the length by each updating builtin. A builtin without an entry may change the length in any way.
 _STEPS = {"appended": 1, "inserted": 1, "removed": -1, "without": -1, "popped": -1, "updated": 0, "sorted": 0,
           "reversed": 0, "set_without": -1, "map_without": -1, "keys": 0, "values": 0, "items": 0}  # fmt: skip
 
@@ -229,7 +229,7 @@ def _compared(op: str, first: Linear, second: Linear) -> Formula:
 
 
 def _nonzero_by(op: str, value: ir.Expr, bound: ir.Expr) -> Formula:
-    """Return what `value op bound` implies about a float: that it is zero, or that it is not."""
+    """Return what a comparison of the float `value` with `bound` implies: `value` is zero, or is not zero."""
     if not pure(value):
         return UNKNOWN
     number = number_of(bound)
@@ -262,7 +262,7 @@ def nonzero(node: ir.Expr, flow: Flow) -> Formula:
 
 
 def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
-    """Return the known value of a variable after `node` is assigned to it; None if nothing is known."""
+    """Return the known value of a variable after the assignment of `node`; None if the value is unknown."""
     if node.type is INT:
         return term(node, flow)
     if node.type is BOOL:
@@ -272,7 +272,7 @@ def known_value(node: ir.Expr, flow: Flow) -> Linear | Formula | None:
 
 
 def after_assignment(flow: Flow, place: stmt.Place, node: ir.Expr) -> Flow:
-    """Return the facts after `place = node`."""
+    """Return the facts after the assignment `place = node`."""
     name = variable_of(place)
     assert name is not None
     if has_length(node.type):
@@ -291,7 +291,7 @@ def range_facts(
     """Yield facts about the temp `unique` that iterates over `values`, and about `values`.
 
     `before` has the facts before the loop, `after` those at the start of each iteration. The loop may change the
-    variables in `changed`, but not the lengths of those in `sized`.
+    variables in `changed`, but not the lengths of the variables in `sized`.
     """
 
     def bound(node: ir.Expr) -> Linear | None:

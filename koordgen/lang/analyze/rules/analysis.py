@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.linear import Formula
-from koordgen.lang.analyze.facts.path import Condition, Path, known
+from koordgen.lang.analyze.facts.path import Condition, Path, point_with_facts
 from koordgen.lang.analyze.facts.runs import Loop
 from koordgen.lang.analyze.facts.terms import Flow, names_of, term
 from koordgen.lang.ir.decl import Import, Program
@@ -77,9 +77,9 @@ class Analysis(Reporter):
     def enter(self, place: Section) -> None:
         """Begin the analysis of a section: reset the attributes that belong to one section."""
         self.place: Section = place
-        self.path: Path | None = known(self.flow_at_start)  # None: this point is unreachable
+        self.path: Path | None = point_with_facts(self.flow_at_start)  # None if the current point is unreachable
         self.guard: Condition | None = None
-        self.mentioned: set[str] = set()  # local and shared variables, and "pid", that have been used so far
+        self.mentioned: set[str] = set()  # names used before this point: local and shared variables, "pid"
         self.poisoned = False  # a condition on the path is wrong, so code that depends on it is not checked
         self.sites: list[Site] = []
         self.refuted: list[int] = []  # indices in `found` of errors about indices and divisors
@@ -96,7 +96,7 @@ class Analysis(Reporter):
 
     @flow.setter
     def flow(self, flow: Flow | None) -> None:
-        self.path = None if flow is None else known(flow)
+        self.path = None if flow is None else point_with_facts(flow)
 
     def saved_state(self) -> SavedState:
         """Return a copy of the current state, to which `restore` can return."""
@@ -104,7 +104,7 @@ class Analysis(Reporter):
         return SavedState(len(self.found), kept)
 
     def restore(self, saved_state: SavedState) -> None:
-        """Restore a saved state; drop the diagnostics that were added after it was saved."""
+        """Restore a saved state; drop the diagnostics that were added after the state was saved."""
         del self.found[saved_state.found :]
         vars(self).update({name: _copied(value) for name, value in saved_state.kept.items()})
 
@@ -113,6 +113,6 @@ class Analysis(Reporter):
         self.report("error", code, message, span, help, labels)
 
     def site_error(self, code: str, message: str, span: Any, help: str = "") -> None:
-        """Add an error about an index or a divisor. Its help may later suggest the negated guard."""
+        """Add an error about an index or a divisor. The help of the error may later suggest the negated guard."""
         self.refuted.append(len(self.found))
         self.error(code, message, span, help)

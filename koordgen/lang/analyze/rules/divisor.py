@@ -38,7 +38,7 @@ def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
             if value.terms:
                 robot, _ = robots_of(bad, value, example, a)
                 message = f"{robot} divides by {text}, which is 0 ({example_text(example, value)})"
-                help = f"leave those robots out with 'if {text} != 0:' around it, or divide by another number"
+                help = f"leave such robots out with 'if {text} != 0:' around the division, or divide by another number"
             else:
                 message = "this divides by 0" if text == "0" else f"this divides by {text}, which is 0"
                 help = "a division by 0 has no value: divide by another number"
@@ -48,6 +48,6 @@ def divisor_proved(divisor: ir.Expr, span: Span, a: Analysis) -> bool:
         "K033",
         f"{text} may be zero",
         divisor.span,
-        f"{help_at_run_time(a)}; 'if {text} != 0:' around it shows that it is not",
+        f"{help_at_run_time(a)}; 'if {text} != 0:' around the statement proves that {text} is not 0",
     )
     return False

@@ -1,6 +1,6 @@
 """K030, K034, K036: indices of lists, queues and strings must be in range.
 
-Negative indices do not count from the end, as they do in Python.
+Unlike in Python, a negative index does not count from the end: it is out of range.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def element_proved(operand: ir.Expr, index: ir.Expr, span: Span, a: Analysis) ->
             return True
         if is_right_by_default(bad, a) or _element_refuted(sides, bad, value, size, span, a):
             return False
-        if is_wrong_in_a_run(value, size, many, "leaves its range", span, a):
+        if is_wrong_in_a_run(value, size, many, "is out of range", span, a):
             return False
     open_ = f"{many} > {at}" if isinstance(index, ir.Const) else unproved_side(value, size, at, many, a)
-    check = f"'if {open_ or f'0 <= {at} < {many}'}:' around it shows that it does not"
-    help = f"{help_at_run_time(a)}; {check}" if len(check) <= 90 else help_at_run_time(a)
-    a.warn("K034", f"{a.text(span)} may leave its range{missing_condition(open_)}", span, help)
+    check = f"'if {open_ or f'0 <= {at} < {many}'}:' around the statement proves that the index is in range"
+    help = f"{help_at_run_time(a)}; {check}" if len(check) <= 112 else help_at_run_time(a)
+    a.warn("K034", f"{a.text(span)} may be out of range{missing_condition(open_)}", span, help)
     return False
 
 
@@ -63,18 +63,19 @@ def _element_refuted(
     text = a.text(span)
     if is_impossible(linear.negate(bad), a) and not is_impossible(linear.TRUE, a):
         many = "" if size.terms else f": there are {size.constant} elements" if size.constant != 1 else ": there is one"
-        a.error("K030", f"{text} leaves its range{many}", span)
+        a.error("K030", f"{text} is out of range{many}", span)
         return True
     for side in sides:
         example, certain = counterexample(side, bad, (value, size), a)
         if example is None:
             continue
         robot, shown = robots_of(side, value, example, a)
-        such = f"index {shown} of {linear.show(size)} elements ({example_text(example, value)})"
+        count, case = linear.show(size), example_text(example, value)
         if certain:
-            a.site_error("K030", f"{robot} reads {text}: {such}", span)
+            a.site_error("K030", f"{robot} reads {text}: index {shown} of {count} elements ({case})", span)
         else:
-            a.warn("K034", f"{robot} may read {text}: {such}", span, help_at_run_time(a))
+            message = f"{robot} may read {text}: index {shown} of {count} elements ({case})"
+            a.warn("K034", message, span, help_at_run_time(a))
         return True
     return False
 
@@ -96,7 +97,7 @@ def end_proved(end: ir.Expr, span: Span, a: Analysis) -> bool:
     if value is not None and is_refuted(linear.less(value, ZERO), a):
         return True
     text = a.text(end.span)
-    help = f"{help_at_run_time(a)}; 'if {text} >= 0:' around it shows that it is not"
+    help = f"{help_at_run_time(a)}; 'if {text} >= 0:' around the statement proves that {text} is not negative"
     a.warn("K034", f"{a.text(span)}: {text} may be negative", end.span, help)
     return False
 

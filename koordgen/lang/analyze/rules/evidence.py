@@ -15,7 +15,9 @@ from koordgen.lang.source import Span
 
 _PID, _SIZE, ZERO = linear.variable(PID), linear.variable(N_SYS), linear.constant(0)
 _LAST = linear.combine(_SIZE, linear.constant(-1))
-_CHECKED_AT_RUN_TIME = "it is checked at run time: a robot for which it fails discards the event and holds"
+_CHECKED_AT_RUN_TIME = (
+    "robots check this at run time: a robot whose check fails discards the event and holds its position"
+)
 
 
 def help_at_run_time(a: Analysis) -> str:
@@ -81,7 +83,7 @@ def _default(name: str, a: Analysis) -> list[Formula]:
 def is_refuted(bad: Formula, a: Analysis) -> bool:
     """Return whether `bad`, which makes an index or a divisor wrong, cannot hold at the current point.
 
-    In an effect the condition is also saved in `a.sites`, for `opposite_guard`.
+    In an effect, `bad` is also saved in `a.sites`, for the rule `opposite_guard`.
     """
     assert a.flow is not None
     if a.place == "effect":
@@ -117,7 +119,7 @@ def _is_given(name: object, a: Analysis) -> bool:
 
 
 def robots_of(side: Formula, value: Linear, example: Example, a: Analysis) -> tuple[str, str]:
-    """Return the robots for which a value is wrong, and the value for them: ("robot N_SYS - 1", "N_SYS")."""
+    """Return the texts of the robots for which a value is wrong, and of the value: ("robot N_SYS - 1", "N_SYS")."""
     assert a.flow is not None
     here = linear.constant(example.values[PID])
     for robot in (_LAST, here):
@@ -153,8 +155,8 @@ def is_wrong_in_a_run(value: Linear, size: Linear, many: str, wrong: str, span: 
     a.path = here
     if found is None:
         return False
-    at, such = found
-    message = f"for {a.loop.name} = {linear.show(at)}, {a.text(span)} {wrong}{such}"
+    at, example = found
+    message = f"for {a.loop.name} = {linear.show(at)}, {a.text(span)} {wrong}{example}"
     a.site_error("K030", message, span, f"the first index is 0, and the last is {many} - 1")
     return True
 
@@ -174,7 +176,7 @@ def _wrong_run(
             return at, ""
     assert a.flow is not None
     if not all(_is_given(name, a) for fact in a.flow.facts for name in linear.variables(fact)):
-        return None  # no example is certain
+        return None  # an example would not be certain
     for at in runs:
         index, count = linear.substitute(value, var, at), linear.substitute(size, var, at)
         bad = linear.Or((linear.at_least(index, count), linear.less(index, ZERO)))

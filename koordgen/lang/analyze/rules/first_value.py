@@ -43,7 +43,7 @@ def check_initial_value(name: str, value: ir.Expr, type_: Type, a: Analysis) -> 
 def flaw_of(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> InitialValueFlaw | None:
     """Return why an initial value of this type is wrong.
 
-    Returns None if the initial value is right, or if it has an error that is already reported. `params` maps the name
+    Returns None if the initial value is right, or has an error that is already reported. `params` maps the name
     of each param to its value.
     """
     if _is_literal(value):
@@ -76,7 +76,7 @@ def _evaluated(value: ir.Expr, type_: Type, params: Mapping[str, ir.Expr]) -> In
     from koordgen.lang.semantics.values import Value, flaw
 
     def call(name: str, args: tuple[Value, ...]) -> Value:
-        raise AssertionError(f"{name} is called in a first value")
+        raise AssertionError(f"an initial value calls {name}")
 
     view = view_of(1, {}, call, call, Budget().spend)
     try:

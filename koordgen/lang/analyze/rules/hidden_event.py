@@ -1,4 +1,4 @@
-"""K042: an event whose guard holds only if an earlier event's guard holds, which then runs instead."""
+"""K042: an event that never runs, because an earlier event is enabled whenever this event is."""
 
 from __future__ import annotations
 
@@ -34,26 +34,30 @@ def is_hidden(
     ahead = [other for other in hiding if any(other is earlier for earlier in first)]
     if not hiding:
         return False
-    other = min(ahead or hiding, key=lambda analyzed: analyzed.event.span.line)  # the first in the text
+    other = min(
+        ahead or hiding, key=lambda analyzed: analyzed.event.span.line
+    )  # the hiding event that is first in the text
     name, earlier = event.name, other.event.name
     label = Label(
         other.event.span,
-        f"earlier event, enabled {'in every state' if other.always else 'in all of these cases, too'}",
+        f"earlier event, enabled {'in every state' if other.always else f'whenever {name} is enabled'}",
     )
-    why = f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, that of {earlier} holds"
+    why = (
+        f"{earlier}'s guard always holds" if other.always else f"whenever its guard holds, the guard of {earlier} holds"
+    )
     if ahead:
         message = f"the event {name} can never run: {why}, and {earlier} has priority"
-        help = f"move it before {earlier}, or make the guard of {earlier} stricter"
+        help = f"move {name} before {earlier}, or make the guard of {earlier} stricter"
     else:
         message = f"robots never run the event {name}: {why}, and robots run the first event in text order"
         help = (
-            f"the language allows it, so proofs and explorations include it; if {earlier} is meant to go first, "
-            "write both under 'priority:'; otherwise change a guard"
+            f"the language allows {name} to run, so proofs and explorations include it; if {earlier} is meant to go "
+            "first, write both under 'priority:'; otherwise change a guard"
         )
         if event.priority is not None and other.event.priority == event.priority:
             help = (
-                "the language allows it, because a transaction sees what other robots have committed since the round's "
-                "start; change a guard"
+                f"the language allows {name} to run, because a transaction sees what other robots have committed "
+                "since the round's start; change a guard"
             )
     reporter.warn("K042", message, event.span, help, (label,))
     return True

@@ -25,7 +25,7 @@ def check_power(value: ir.Binary, a: Analysis) -> None:
 def _check_exponent(exponent: ir.Expr, span: Span, a: Analysis) -> None:
     value = term(exponent, a.flow) if a.flow is not None else None
     if value is not None and not value.terms and value.constant < 0:
-        help = "a power of which one side is a float is a float: 2.0 ** -1"
+        help = "the result is a float if one side of the power is a float: 2.0 ** -1"
         a.error("K012", f"an int to the power of {value.constant} is not an int", span, help)
 
 

@@ -19,15 +19,18 @@ from koordgen.lang.reporter import Reporter
 
 _LONGER = frozenset(("appended", "inserted"))
 _SHORTER = frozenset(("popped", "without", "removed", "set_without", "map_without"))
-_HELP = "a round must end: compare a number in the condition, and let every path through the loop change it by a step"
+_HELP = (
+    "a round must end: compare a number in the condition, and let every path through the loop "
+    "change the number by a step"
+)
 
 
 class _Wrong(Exception):
-    """A path that moves the number in the wrong direction, or that continues without moving it."""
+    """Raised for a path through a loop that moves the number in the wrong direction, or not at all."""
 
 
 def check_end(node: stmt.While, reporter: Reporter) -> None:
-    """Warn of a loop that is not proved to end, unless it contains an error."""
+    """Warn of a loop that is not proved to end, unless the loop contains an error."""
     if not _ends(node) and not any(_is_wrong(part) for part in walk(node)):
         reporter.warn("K035", "nothing shows that this loop ends", node.span, _HELP)
 
@@ -71,7 +74,7 @@ def _moves_towards(moved: ir.Expr, other: ir.Expr, step: int, block: stmt.Block)
 
 
 def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
-    """Return whether a block may change a bound's value. Writing a list's elements does not change its length."""
+    """Return whether a block may change a bound's value. A write of an element does not change the length of a list."""
     written = list(writes(block))
     changed, resized = {name for name, _ in written}, {name for name, same_length in written if not same_length}
     pending: list[Node] = [bound]
@@ -89,9 +92,9 @@ def _is_changed(bound: ir.Expr, block: stmt.Block) -> bool:
 
 
 def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, moved: bool) -> bool:
-    """Return whether every path to the end of the block changes the number by a step in the right direction.
+    """Return whether every path to the end of the block moves the number in the direction of `step`.
 
-    Returns True if no path reaches the end.
+    The number is the variable `name`, or its length. Returns True if no path reaches the end of the block.
     """
     for statement in block:
         match statement:
@@ -113,9 +116,9 @@ def _follow(block: Sequence[draft.Draft], name: str, length: bool, step: int, mo
 
 
 def _moves(statement: draft.Draft, name: str, length: bool, step: int) -> bool:
-    """Return whether a statement moves the number in the right direction.
+    """Return whether a statement moves the variable `name`, or its length, in the direction of `step`.
 
-    Raises _Wrong if the statement changes the number in another way.
+    Raises _Wrong if the statement changes the variable in another way.
     """
     if not isinstance(statement, stmt.Assign) or variable_of(statement.place) != name:
         return False

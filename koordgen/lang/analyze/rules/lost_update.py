@@ -18,7 +18,10 @@ def check_write(name: str, span: Span, a: Analysis) -> None:
     if a.place == "init":
         return  # init cannot read shared variables
     if name in a.read_shared and not a.transaction and not a.poisoned and not _only_one_robot(a):
-        help = "another robot may write it in the same round, and one update is lost; under 'atomic:' none is"
+        help = (
+            f"another robot may write {name} in the same round, and one update is lost; "
+            "under 'atomic:' no update is lost"
+        )
         a.warn("K040", f"this event reads {name} and writes it: an update may be lost", span, help)
         a.read_shared.discard(name)
     a.written_shared.add(name)
@@ -30,8 +33,8 @@ _OTHER = "other pid"
 def _only_one_robot(a: Analysis) -> bool:
     """Return whether two robots can never reach this point in the same round.
 
-    Proof: two robots with different pids and with their own variables and ports, but with the same params and shared
-    variables, contradict the guard or the facts here.
+    The proof: the guard, or the facts at this point, cannot hold for two robots with different pids. Such robots have
+    their own local variables and ports, but the same params and shared variables.
     """
     if a.flow is None:
         return True
@@ -48,7 +51,7 @@ def _contradictory(facts: list[linear.Formula]) -> bool:
 
 
 def _renamed(item: linear.Formula) -> linear.Formula:
-    """Return a condition with the other robot's variables in place of this robot's."""
+    """Return a condition with another robot's variables in place of the variables of this robot."""
     match item:
         case linear.AtLeastZero(term):
             return linear.AtLeastZero(_term(term))

@@ -16,4 +16,4 @@ def check_end(function: decl.Function, reporter: Reporter) -> None:
         return
     none = function.result is POISON and not any(isinstance(part, stmt.Return) for part in parts)
     message = f"the function {function.name} {'has no' if none else 'can end without'} 'return'"
-    reporter.report("error", "K029", message, function.span, "end every path through it with 'return value'")
+    reporter.report("error", "K029", message, function.span, "end every path through the function with 'return value'")

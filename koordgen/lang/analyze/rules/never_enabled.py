@@ -19,7 +19,7 @@ _NOTHING: frozenset[str] = frozenset()
 def can_run(event: decl.Event, guard: Condition, first: Sequence[AnalysedEvent], reporter: Reporter) -> bool:
     """Return whether an event's guard may hold while the guards of the events in `first` are false.
 
-    If it cannot, warn that the event can never run.
+    If the guard cannot hold, warns that the event can never run.
     """
     if (not first and is_open(guard.node, _NOTHING)) or guard.formula == linear.UNKNOWN:
         return True
@@ -31,8 +31,9 @@ def can_run(event: decl.Event, guard: Condition, first: Sequence[AnalysedEvent],
     failed = [linear.negate(other.guard.formula) for other in nearest if other.guard is not None]
     if failed and unsat((guard.formula, *failed)):
         labels = tuple([Label(other.event.span, "has priority") for other in nearest])
-        message = f"the event {name} can never run: its guard holds only if that of an event with priority holds"
-        reporter.warn("K042", message, event.span, "move it before these events, or make their guards stricter", labels)
+        message = f"the event {name} can never run: its guard holds only if the guard of an event with priority holds"
+        help = f"move {name} before the events with priority, or make the guards of these events stricter"
+        reporter.warn("K042", message, event.span, help, labels)
         return False
     return True
 

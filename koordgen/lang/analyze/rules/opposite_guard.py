@@ -1,4 +1,4 @@
-"""Help for K030, K032 and K034: if the negated guard would make an event right, suggest it."""
+"""Help for K030, K032 and K034: suggests the negated guard if this guard would make an event right."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from koordgen.lang.source import Span
 
 
 def help_by_negation(written: Span, a: Analysis) -> None:
-    """Suggest the negated guard if it would make every index and divisor of the event right.
+    """Suggest the negated guard if this guard would make every index and divisor of the event right.
 
     `written` is the span of the guard.
     """

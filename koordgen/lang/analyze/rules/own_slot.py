@@ -12,7 +12,7 @@ _PID = linear.variable(linear.PID)
 
 
 def check_own(place: SlotPlace, a: Analysis) -> None:
-    """Report the index of a written slot unless it is proved to be `pid`."""
+    """Report the index of a written slot unless the index is proved to be `pid`."""
     if a.flow is None or a.poisoned:
         return
     value = term(place.index, a.flow)

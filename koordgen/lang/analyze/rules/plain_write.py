@@ -31,9 +31,10 @@ def check_plain_writes(
             if place.name in guarded and place.name not in reported:
                 reported.add(place.name)
                 other, at = guarded[place.name]
-                label = Label(at, f"{other} writes it as a transaction")
+                label = Label(at, f"{other} writes {place.name} as a transaction")
                 message = f"a plain write to {place.name} bypasses the transactions that write it"
-                reporter.warn("K044", message, span, "write it under 'atomic:' here as well", (label,))
+                help = f"write {place.name} under 'atomic:' in this event as well"
+                reporter.warn("K044", message, span, help, (label,))
 
 
 def _writes(block: stmt.Block) -> Iterator[tuple[stmt.OwnSlot | stmt.SharedPlace, Span]]:

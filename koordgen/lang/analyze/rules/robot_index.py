@@ -55,10 +55,11 @@ def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
         if is_wrong_in_a_run(value, _SIZE, "N_SYS", "names no robot", span, a):
             return False
     open_ = unproved_side(value, _SIZE, a.text(index.span), "N_SYS", a)
-    check = f"'if {open_ or f'0 <= {a.text(index.span)} < N_SYS'}:' around it shows it"
+    test = open_ or f"0 <= {a.text(index.span)} < N_SYS"
+    check = f"'if {test}:' around the statement proves that the index names a robot"
     help = (
         help_at_run_time(a)
-        if a.place in ("property", "assume", "guarantee") or len(check) > 80
+        if a.place in ("property", "assume", "guarantee") or len(check) > 116
         else f"{help_at_run_time(a)}; {check}"
     )
     a.warn("K031", f"{a.text(span)} may name no robot{missing_condition(open_)}", span, help)

@@ -18,7 +18,7 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
     names = names_of(condition)
     facts = before.relevant(names)
     if not facts and PID not in names and N_SYS not in names:
-        # If no facts about its variables are known, a condition is impossible only if it contradicts itself. A single
+        # A condition without facts about its variables is impossible only if it contradicts itself. A single
         # comparison cannot contradict itself.
         match condition:
             case BoolFact():
@@ -34,7 +34,7 @@ def _is_impossible(condition: Formula, before: Flow) -> bool:
 
 def check_statement(span: Span, a: Analysis) -> None:
     """Warn of the first statement that no path reaches."""
-    a.warn("K043", "this statement can never run: every path to it has stopped or left", span)
+    a.warn("K043", "this statement can never run: no path reaches it", span)
 
 
 def check_branch(condition: ir.Expr, passed: Formula, span: Span, before: Flow, a: Analysis) -> None:

@@ -1,6 +1,6 @@
-"""K041: events that can never run, because they wait for a bool that only such events change. K042 is other rules'.
+"""K041, unless K042 is reported: events that wait for a bool that only waiting events change.
 
-Events for which another rule has already reported K041 or K042 are left out.
+Such events can never run. Events that another rule has reported, as K041 or K042, are left out.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter:
     """Warn of each event that waits for a local bool variable that only waiting events change.
 
     An event waits for a bool variable if its guard needs the variable to differ from its initial value. A variable that
-    no event sets is not reported: it is taken for a switch that the author sets in the text of the program. `is_whole`
+    no event sets is not reported: such a variable is a switch that the author sets in the program's text. `is_whole`
     returns whether all of the text could be parsed.
     """
     starts = {v.name: v.initial.value for v in program.locals if v.type is BOOL and type(v.initial) is ir.Const}
@@ -45,7 +45,7 @@ def check_waiting(program: decl.Program, is_whole: Callable[[], bool], reporter:
         who = f"only {makers[own][0]} makes" if len(makers[own]) == 1 else "only events that can never run make"
         old, new = starts[own], not starts[own]
         message = f"the event {event.name} can never run: {own} starts {old}, and {who} it {new}"
-        help = f"set it to {new} in init or another event, or change the guard to '{own if old else f'not {own}'}'"
+        help = f"set {own} to {new} in init or another event, or change the guard to '{own if old else f'not {own}'}'"
         reporter.warn("K041", message, event.guard.span, help, (Label(spans[own], f"starts {old}"),))
 
 

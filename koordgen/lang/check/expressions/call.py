@@ -69,7 +69,7 @@ def check_call(node: ast.Call, c: Context, wanted: Type | None = None) -> ir.Exp
         return _method(node, function, c) if module is None else _port_call(node, module, function, c)
     if type(function) is not ast.Name:
         called = check_expr(function, c)
-        args = skip(node, c)
+        args = checked_arguments(node, c)
         if called.type is POISON:
             return c.poison(node.span, called, *args)
         return c.error("K017", "this is not a function", function.span, "", (), called, *args)
@@ -96,7 +96,7 @@ def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     entity = c.entities[function.name]
     match entity:
         case None:
-            return c.poison(node.span, *skip(node, c))
+            return c.poison(node.span, *checked_arguments(node, c))
         case decl.Record():
             return _record(entity, node, c)
         case decl.Function() | decl.ExternFunction() | decl.SpecFunction():
@@ -105,7 +105,7 @@ def _declared_call(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
             return _not_a_function(node, function, c)
 
 
-def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
+def checked_arguments(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
     """Check and return the arguments of a wrong call, so that errors within the arguments are reported, too."""
     checked = []
     for arg in node.args:
@@ -113,18 +113,18 @@ def skip(node: ast.Call, c: Context) -> tuple[ir.Expr, ...]:
         if isinstance(value, (ast.ListDisplay, ast.MapDisplay)) and not value.items:
             continue
         if isinstance(value, ast.Name) and value.name in NAMED:
-            continue  # isinstance(n, int)
+            continue  # for example isinstance(n, int)
         if isinstance(value, ast.Call) and isinstance(value.function, ast.Name) and value.function.name == "range":
-            continue  # list(range(3))
+            continue  # for example list(range(3))
         checked.append(check_expr(value, c))
     return tuple(checked)
 
 
 def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
     name = function.name
-    args = skip(node, c)
+    args = checked_arguments(node, c)
     if name == "range":
-        help = "use it in a loop: 'for i in range(n):'"
+        help = "use range in a loop: 'for i in range(n):'"
         return c.error("K017", "range(...) is not a value", node.span, help, (), *args)
     if name in NO_FUNCTIONS and name not in c.entities and c.temp(name) is None:
         return c.error("K010", f"{name} is not a function of Koord", function.span, NO_FUNCTIONS[name], (), *args)
@@ -141,7 +141,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
         name, [*own, *FUNCTIONS], {"dist": "distance", "length": "len", "size": "len", "norm": "distance"}
     )
     taken = "..." if node.args else ""
-    define = f"define it: 'fun {name}({taken}) -> Type:', or 'extern fun {name}({taken}) -> Type' for one in Python"
+    define = f"define {name}: 'fun {name}({taken}) -> Type:', or in Python 'extern fun {name}({taken}) -> Type'"
     return c.error("K010", f"{name} is not defined", function.span, help or define, (), *args)
 
 
@@ -149,7 +149,7 @@ def _not_a_function(node: ast.Call, function: ast.Name, c: Context) -> ir.Expr:
 
 
 def positional_arguments(
-    node: ast.Call, name: str, count: Many[int], takes: str, c: Context
+    node: ast.Call, name: str, count: Many[int], usage: str, c: Context
 ) -> tuple[ast.Expr, ...] | ir.Expr:  # fmt: skip
     """Return the unchecked arguments of a call that takes no named arguments.
 
@@ -157,20 +157,20 @@ def positional_arguments(
     """
     for arg in node.args:
         if isinstance(arg, ast.Keyword):
-            args = skip(node, c)
-            help = "only fields of records are given by name"
+            args = checked_arguments(node, c)
+            help = "only the fields of a record can be given by name"
             return c.error("K014", f"{name} takes its arguments without names", arg.span, help, (), *args)
     if len(node.args) not in count:
-        args = skip(node, c)
+        args = checked_arguments(node, c)
         plural = "" if count[-1] == 1 else "s"
         many = " or ".join(map(str, count)) if count[-1] else "no"
         message = f"{name} takes {many} argument{plural}, not {len(node.args)}"
-        return c.error("K014", message, node.span, takes, (), *args)
+        return c.error("K014", message, node.span, usage, (), *args)
     return node.args  # type: ignore[return-value]
 
 
 def _converted_arguments(
-    nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, takes: str, c: Context
+    nodes: tuple[ast.Expr, ...], types: Many[Type], name: str, usage: str, c: Context
 ) -> tuple[ir.Expr, ...]:  # fmt: skip
     """Check arguments against the types of the parameters and return them; a wrong argument becomes poison."""
     args = []
@@ -178,15 +178,15 @@ def _converted_arguments(
         value = check_expr(node, c, type_)
         before = len(c.found)
         args.append(converted_argument(value, type_, f"an argument of {name}", c))
-        _add_help(before, takes, c)
+        _add_help(before, usage, c)
     return tuple(args)
 
 
-def _add_help(before: int, takes: str, c: Context) -> None:
-    """Add the help `takes` to each diagnostic from index `before` on that has no help yet."""
+def _add_help(before: int, usage: str, c: Context) -> None:
+    """Add the help `usage` to the diagnostics from index `before` on, except to those that have a help already."""
     for position in range(before, len(c.found)):
         if not c.found[position].help:
-            c.found[position] = replace(c.found[position], help=takes)
+            c.found[position] = replace(c.found[position], help=usage)
 
 
 # Builtins and methods
@@ -194,12 +194,12 @@ def _add_help(before: int, takes: str, c: Context) -> None:
 
 def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
     signatures = FUNCTIONS[name]
-    takes = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
-    nodes = positional_arguments(node, name, (len(signatures[0].args),), takes, c)
+    usage = _TAKES.get(name) or f"{name} takes {' or '.join(shown(s) for s in signatures)}"
+    nodes = positional_arguments(node, name, (len(signatures[0].args),), usage, c)
     if not isinstance(nodes, tuple):
         return nodes
     if len(signatures) == 1:
-        return _applied(name, signatures[0], nodes, takes, node.span, c)
+        return _applied(name, signatures[0], nodes, usage, node.span, c)
     arg = check_expr(nodes[0], c)
     if arg.type is POISON:
         return c.poison(node.span, arg)
@@ -210,7 +210,7 @@ def _builtin(name: str, node: ast.Call, c: Context) -> ir.Expr:
             result = substituted(signature.result, bound)
             assert result is not None
             return ir.Builtin(name, (value,), result, node.span)
-    return c.error("K012", f"{name} does not apply to {with_article(arg.type)}", arg.span, takes, (), arg)
+    return c.error("K012", f"{name} does not apply to {with_article(arg.type)}", arg.span, usage, (), arg)
 
 
 _TAKES = {
@@ -226,7 +226,7 @@ _TAKES = {
 
 
 def _applied(
-    name: str, signature: Signature, nodes: tuple[ast.Expr, ...], takes: str, span: Span, c: Context,
+    name: str, signature: Signature, nodes: tuple[ast.Expr, ...], usage: str, span: Span, c: Context,
     first: ir.Expr | None = None,
 ) -> ir.Expr:  # fmt: skip
     """Check a call of a builtin that has a single signature. For a method, `first` is the object."""
@@ -246,10 +246,10 @@ def _applied(
             before = len(c.found)
             wanted = substituted(pattern, bound)
             if wanted is None:
-                c.error("K012", f"{name} does not apply to {with_article(value.type)}", value.span, takes)
+                c.error("K012", f"{name} does not apply to {with_article(value.type)}", value.span, usage)
             else:
                 converted(value, wanted, f"an argument of {name}", c)
-            _add_help(before, takes, c)
+            _add_help(before, usage, c)
     if poisoned:
         return c.poison(span, *args)
     result = substituted(signature.result, bound)
@@ -261,26 +261,26 @@ def _applied(
 
 def _method(node: ast.Call, function: ast.Attribute, c: Context) -> ir.Expr:
     if isinstance(function.value, ast.Name) and _is_unknown(function.value.name, c) and function.name in FUNCTIONS:
-        args = skip(node, c)  # math.sqrt(2)
+        args = checked_arguments(node, c)  # for example math.sqrt(2)
         message, help = f"{function.value.name} is not defined", f"write {function.name}(...)"
         return c.error("K010", message, function.value.span, help, (), *args)
     operand = check_expr(function.value, c)
     if operand.type is POISON:
-        return c.poison(node.span, operand, *skip(node, c))
+        return c.poison(node.span, operand, *checked_arguments(node, c))
     type_, name = operand.type, function.name
     word = "List" if isinstance(type_, PerRobot) else type_word(type_)
     signature = METHODS.get((word, name))
     if signature is not None:
         nodes = positional_arguments(node, name, (len(signature.args) - 1,), "", c)
-        takes = f"{name} takes {shown(signature, 1)}"
+        usage = f"{name} takes {shown(signature, 1)}"
         if not isinstance(nodes, tuple):
             return c.poison(node.span, operand, nodes)
-        return _applied(name, signature, nodes, takes, node.span, c, operand)
-    parts = (operand, *skip(node, c))
+        return _applied(name, signature, nodes, usage, node.span, c, operand)
+    parts = (operand, *checked_arguments(node, c))
     if (word, name) in UPDATES or (name == "pop" and word in ("List", "Queue")):
         text = c.text(function.value.span)
-        help = f"write 'x = {text}.pop()', and use x" if name == "pop" else "write it on a line of its own"
-        message = f"{name} changes {text}: it cannot be used within an expression"
+        help = f"write 'x = {text}.pop()', and use x" if name == "pop" else f"call {name} on a line of its own"
+        message = f"{name} changes {text} and cannot be used within an expression"
         return c.error("K027", message, node.span, help, (), *parts)
     report_no_method(operand, function, c)
     return c.poison(node.span, *parts)
@@ -291,7 +291,7 @@ def _is_unknown(name: str, c: Context) -> bool:
 
 
 def report_no_method(operand: ir.Expr, function: ast.Attribute, c: Context) -> None:
-    """Report that a value has no such method, and suggest what to write."""
+    """Report a call of a method that a value does not have, and suggest what to write."""
     type_, name, text = operand.type, function.name, c.text(function.value.span)
     word = type_word(type_)
     if field_of(type_, name) is not None:
@@ -323,12 +323,14 @@ def _function(
 ) -> ir.Expr:
     name, span = entity.name, node.span
     types = [parameter.type for parameter in entity.parameters]
-    takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional_arguments(node, name, (len(types),), takes, c)
-    args = _converted_arguments(nodes, types, name, takes, c) if isinstance(nodes, tuple) else (nodes,)
+    usage = f"{name} takes ({', '.join(map(str, types))})"
+    nodes = positional_arguments(node, name, (len(types),), usage, c)
+    args = _converted_arguments(nodes, types, name, usage, c) if isinstance(nodes, tuple) else (nodes,)
     if c.place == "constant":
-        return c.error("K025", f"an initial value cannot call {name}", function.span, "set it in init", (), *args)
-    # Robots check contracts at run time, so contracts cannot call spec functions.
+        return c.error(
+            "K025", f"an initial value cannot call {name}", function.span, "set the variable in init", (), *args
+        )
+    # Contracts cannot call a spec function either, because robots check contracts.
     if isinstance(entity, decl.SpecFunction) and c.place not in ("property", "guarantee"):
         message = f"{name} is declared by 'spec fun': it can only be used in properties and guarantees"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
@@ -346,14 +348,14 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     port = declared_port(module, function, c)
     name = f"{module.name}.{function.name}"
     if port is None or port.type is POISON:
-        return c.poison(node.span, *skip(node, c))
+        return c.poison(node.span, *checked_arguments(node, c))
     if port.type is not PLANNER:
-        skipped = skip(node, c)
+        skipped = checked_arguments(node, c)
         return c.error(
             "K017", f"{name} is {with_article(port.type)} and is not called", function.span, "", (), *skipped
         )
-    takes = f"{name}(goal) and {name}(goal, obstacles) plan a path: a Point, a List<Grid> or a List<Point>"
-    nodes = positional_arguments(node, name, (1, 2), takes, c)
+    usage = f"{name}(goal) and {name}(goal, obstacles) plan a path: obstacles is a List<Grid> or List<Point>"
+    nodes = positional_arguments(node, name, (1, 2), usage, c)
     if not isinstance(nodes, tuple):
         return nodes
     goal = converted(check_expr(nodes[0], c), POINT, "the goal", c)
@@ -369,8 +371,8 @@ def _port_call(node: ast.Call, module: decl.Module, function: ast.Attribute, c: 
     if c.place not in ("init", "effect", "assume"):
         where = {"guard": "a guard", "function": "a function", "constant": "an initial value"}
         what = where.get(c.place, "a property")
-        help = "call it in 'eff:' and keep the answer in a variable"
-        message = f"{what} cannot call {name}: its answer is an input of the event"
+        help = "call the port in 'eff:' and keep its answer in a variable"
+        message = f"{what} cannot call {name}: the answer of a port is an input of the event"
         return c.error("K027", message, node.span, help, (), *args)
     if c.entry is not None:
         return report_port_call(name, node, c)
@@ -387,44 +389,44 @@ def _record(record: decl.Record, node: ast.Call, c: Context) -> ir.Expr:
     type_ = record.type
     names = [name for name, _ in type_.fields]
     given: dict[str, ir.Expr] = {}
-    takes = f"{type_.name} has the fields {', '.join(names)}"
+    usage = f"{type_.name} has the fields {', '.join(names)}"
     before_names = len([arg for arg in node.args if not isinstance(arg, ast.Keyword)])
     if before_names > len(names):
-        args = skip(node, c)
+        args = checked_arguments(node, c)
         message = f"{type_.name} has {len(names)} fields, not {before_names}"
-        return c.error("K014", message, node.span, takes, (), *args)
+        return c.error("K014", message, node.span, usage, (), *args)
     poisoned, named = False, False
     for position, arg in enumerate(node.args):
         if isinstance(arg, ast.Keyword):
             name, value, span, named = arg.name, arg.value, arg.span, True
         elif named:
-            c.error("K014", "a positional value follows a named value", arg.span, takes)
+            c.error("K014", "a positional value follows a named value", arg.span, usage)
             poisoned = True
             continue
         else:
             name, value, span = names[position], arg, arg.span
-        poisoned = not _field(type_.name, type_, name, value, span, given, takes, c) or poisoned
+        poisoned = not _field(type_.name, type_, name, value, span, given, usage, c) or poisoned
     if poisoned:
         return c.poison(node.span, *given.values())
     missing = [name for name in names if name not in given]
-    if missing and not record.defaults:  # this stands in a record's field, and is checked before `record`'s own fields
-        message = f"{type_.name} lacks {', '.join(missing)}: its initial values are unknown in a field's initial value"
-        help = f"give each field of {type_.name} a value here"
+    if missing and not record.defaults:  # the call is in a record's field, checked before the fields of `record`
+        message = f"{type_.name} lacks {', '.join(missing)}: within a field's initial value, all fields must be given"
+        help = f"give a value for each field of {type_.name}"
         return c.error("K014", message, node.span, help, (), *given.values())
     first = dict(zip(names, record.defaults, strict=False))
     return ir.Make(tuple([given[name] if name in given else first[name] for name in names]), type_, node.span)
 
 
 def _field(
-    record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], takes: str,
+    record: str, type_: RecordType, name: str, value: ast.Expr, span: Span, given: dict[str, ir.Expr], usage: str,
     c: Context,
 ) -> bool:  # fmt: skip
-    """Check the value that a call gives a record's field, and add it to `given`. Returns whether it is right."""
+    """Check the value of a record's field in a call, add the value to `given`, and return whether it is right."""
     field = field_of(type_, name)
     if field is None:
         check_expr(value, c)
         c.error(
-            "K015", f"{record} has no field {name}", span, c.suggestion(name, [n for n, _ in type_.fields]) or takes
+            "K015", f"{record} has no field {name}", span, c.suggestion(name, [n for n, _ in type_.fields]) or usage
         )
         return False
     checked = converted(check_expr(value, c, field), field, f"{record}.{name}", c)
@@ -435,7 +437,7 @@ def _field(
     return checked.type is not POISON
 
 
-# Match signatures that have type variables with the types of arguments.
+# Match the parameters of a signature, which may have type variables, with the types of arguments.
 
 Bound = dict[str, Type]  # name of a type variable -> type bound to it
 _VARIABLES = {variable.name for variable in VARIABLES}
@@ -445,8 +447,8 @@ _SHOWN = {"T": "T", "V": "V", "K": "K", "N": "int or float", "O": "int, float or
 def match_argument(pattern: Type, value: ir.Expr, bound: Bound) -> ir.Expr | None:
     """Match an argument with the pattern of its parameter: a type that may contain type variables.
 
-    Returns the argument, converted to a float if the pattern is float, or None if it does not match. Adds to `bound`
-    the types to which the match binds type variables.
+    Returns the argument, converted to a float if the pattern is float, or None if the argument does not match. Adds to
+    `bound` the types to which the match binds type variables.
     """
     type_ = value.type
     if type_ is pattern:

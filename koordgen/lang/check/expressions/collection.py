@@ -44,7 +44,7 @@ from koordgen.lang.syntax import expr as ast
 _INTS = list_of(INT)
 
 
-# Displays
+# Displays: `[a]`, `{a}`, `{a: b}`, `(a, b)`
 
 
 def check_list(node: ast.ListDisplay, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -130,7 +130,9 @@ def _items(nodes: tuple[ast.Expr, ...], type_: Type | None, what: str, c: Contex
 
 
 def _single(value: ir.Expr, c: Context) -> ir.Expr:
-    """Return a part of a list, tuple or other composed value; report an allread variable without an index."""
+    """Return a value that becomes a part of a list, a tuple or the like.
+
+    An allread variable without an index cannot be a part: it is reported and becomes poison."""
     return report_missing_index(value, c) if isinstance(value.type, PerRobot) else value
 
 
@@ -145,11 +147,14 @@ def _empty(node: ast.Expr, text: str, example: str, c: Context, wanted: Type | N
 
 def _no_key(type_: Type, what: str, span: Span, c: Context) -> ir.Expr:
     return c.error(
-        "K052", f"{with_article(type_)} cannot be {what}", span, "an int, a bool, a string, or a tuple of these"
+        "K052",
+        f"{with_article(type_)} cannot be {what}",
+        span,
+        "use an int, a bool, a string, or a tuple of these types",
     )
 
 
-# Indices
+# Indices and slices: `xs[i]`, `xs[a:b]`
 
 
 def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.Expr:
@@ -201,9 +206,9 @@ def _slot(node: ast.Index, entity: Shared, c: Context) -> ir.Expr:
     match c.place:
         case "constant":
             message = f"an initial value cannot depend on the variable {name}"
-            return c.error("K025", message, node.span, "set it in init")
+            return c.error("K025", message, node.span, "set the variable in init")
         case "function" | "contract" | "assume":
-            return check_expr(node.value, c)  # this reports why the variable cannot be read
+            return check_expr(node.value, c)  # reports why this section cannot read the variable
         case "init" if not isinstance(index, ir.Pid):
             return report_shared_in_init(c.text(node.span), node.span, c)
     return ir.SlotRead(name, index, type(index) is ir.Pid, entity.type, node.span)
@@ -246,7 +251,7 @@ def _no_index(operand: ir.Expr, type_: Type, node: ast.Index, c: Context) -> ir.
     named = isinstance(operand, (ir.LocalRead, ir.SharedRead, ir.ParamRead, ir.PortRead))
     if named and not isinstance(type_, Sequence):
         return c.error("K017", f"{text} is one value and takes no index", node.span, _part_help(text, type_))
-    return c.error("K017", f"{with_article(type_)} has no index", node.span, _part_help(text, type_))
+    return c.error("K017", f"{with_article(type_)} takes no index", node.span, _part_help(text, type_))
 
 
 def _part_help(text: str, type_: Type) -> str:
@@ -267,7 +272,7 @@ def check_slice(node: ast.Slice, c: Context, wanted: Type | None = None) -> ir.E
     return ir.Slice(operand, ends[0], ends[1], ends == [None, None], type_, node.span)
 
 
-# Containment
+# Containment: `in` and `not in`
 
 
 def check_containment(op: str, first: ast.Expr, second: ast.Expr, span: Span, c: Context) -> ir.Expr:
@@ -362,7 +367,7 @@ def _step(node: ir.Expr) -> int:
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Check a quantifier. A quantifier of several names becomes nested quantifiers over the same domain."""
     if c.place not in ("property", "contract", "assume", "guarantee") and c.entry is None:
-        help = "use a loop: 'for i in ID:'"
+        help = "use a loop in place of the quantifier: 'for i in ID:'"
         message = f"'{node.kind}' is only allowed in properties, guarantees, contracts and loop invariants"
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
@@ -380,7 +385,7 @@ def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = Non
 def declare(name: str, type_: Type, span: Span, c: Context) -> Temp | None:
     """Declare a temp, a variable of a block, in the innermost block.
 
-    If its name is declared already, reports this and returns None; later uses of the name still have the new type,
+    If the name is declared already, reports this and returns None. Later uses of the name still have the new type,
     unless the name belongs to another temp. In a function a temp may have the name of a variable or module, because
     functions cannot read variables and modules.
     """

@@ -17,7 +17,7 @@ FUNCTIONS = {"pos3d": "Point", "midpoint": "(p + q) / 2"}
 
 
 def old_name(node: ast.Name, c: Context) -> ast.Expr:
-    """Return the modern form of a name in `VALUES`."""
+    """Return the modern form of a value's name in the 2020 dialect, such as `true` or `numAgents`."""
     new = VALUES[node.name]
     c.report_old_spelling(node.name, new, node.span)
     return ast.Name(new, node.span) if new == "N_SYS" else ast.Literal(new == "True", node.span)
@@ -43,9 +43,9 @@ def modern_logic(node: ast.Logic, c: Context) -> str:
 
 
 def old_call(node: ast.Call, name: ast.Name, c: Context) -> ast.Expr | None:
-    """Return the modern form of a call of a function in `FUNCTIONS`.
+    """Return the modern form of a call of `pos3d` or `midpoint`, functions of the 2020 dialect.
 
-    Returns None if the arguments are not those that the function takes in the 2020 dialect.
+    Returns None if the function does not take the arguments of the call.
     """
     if any(isinstance(arg, ast.Keyword) for arg in node.args):
         return None

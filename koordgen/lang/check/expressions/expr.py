@@ -67,7 +67,7 @@ def _unary(node: ast.Unary, c: Context, wanted: Type | None) -> ir.Expr:
 
 def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
     if node.op == "<<":
-        help = "write it as a statement: 'Log.stdout << a << b'"
+        help = "write to the stream in a statement of its own: 'Log.stdout << a << b'"
         return c.error("K056", "'<<' writes to a stream and has no value", node.span, help)
     if node.op == "+" and is_display(node.left):
         if is_display(node.right):
@@ -83,7 +83,8 @@ def _binary(node: ast.Binary, c: Context, wanted: Type | None) -> ir.Expr:
 def arithmetic(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.Expr:
     """Return the typed expression `left op right`.
 
-    A division is marked as proved to have a value only if its divisor is a literal; the second check proves others.
+    A division is marked as proved to have a value only if its divisor is a literal other than 0. The second check
+    proves other divisions.
     """
     first, second = left.type, right.type
     if first is POISON or second is POISON:
@@ -119,13 +120,14 @@ def _no_operator(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context)
     if op == "+" and STRING in (left.type, right.type):
         help = _help_for_joined(left, right, c)
     elif op == "%" and left.type == STRING:
-        help = "join strings: 'n is ' + str(n)"
+        help = "join strings with '+': 'n is ' + str(n)"
     elif BOOL in (left.type, right.type):
         held = left if left.type is BOOL else right
         help = "bools are joined with 'and' and 'or'"
-        help = help if left.type == right.type else f"to make a number of it, write '(1 if {c.text(held.span)} else 0)'"
+        if left.type != right.type:
+            help = f"to make a number of the bool, write '(1 if {c.text(held.span)} else 0)'"
     elif op == "*" and left.type is POINT and right.type is POINT:
-        help = "multiply their coordinates: p.x * q.x + p.y * q.y"
+        help = "multiply the coordinates of the points: p.x * q.x + p.y * q.y"
     elif op in ("+", "-") and POINT in (left.type, right.type):
         help = "add a Point to a Point: p + Point(x, y, z)"
     elif op == "+" and isinstance(left.type, Sequence) and same_type(left.type.element, right.type):
@@ -141,7 +143,7 @@ def _help_for_joined(left: ir.Expr, right: ir.Expr, c: Context) -> str:
     if value.type in (*NUMBERS, BOOL, POINT):
         text = c.text(value.span)
         return f"write str({text})" if len(text) <= 40 else "str(...) makes a string of a number or a bool"
-    return "join its parts, or its length: str(len(...))"
+    return "join the parts of the value, or its length: str(len(...))"
 
 
 def _compare(node: ast.Compare, c: Context, wanted: Type | None) -> ir.Expr:
@@ -175,14 +177,14 @@ def _chain(node: ast.Compare, c: Context) -> ir.Expr:
     before = node.first
     for op, right_node in node.rest:
         if op in ("in", "not in"):
-            help = "join the two with 'and'"
+            help = "join the two comparisons with 'and'"
             return c.error("K012", f"'{op}' is not allowed in a chain of comparisons", node.span, help)
         if left is None:
             left, right = _sides(before, right_node, c)
         else:
             if has_call(left, (ir.PortCall,)):
                 help = "save the port's answer in a variable first"
-                return c.error("K027", "a call of a port is not allowed within a chain", left.span, help)
+                return c.error("K027", "a call of a port is not allowed within a chain of comparisons", left.span, help)
             right = check_expr(right_node, c, left.type)
         pair = _pair(op, left, right, node.span, c)
         poisoned = poisoned or pair.type is POISON
@@ -221,12 +223,12 @@ def _pair(op: str, left: ir.Expr, right: ir.Expr, span: Span, c: Context) -> ir.
 
 
 def _help_for_compared(left: ir.Expr, right: ir.Expr, c: Context) -> str:
-    """Return the help for two values that cannot be compared."""
+    """Return the help for a comparison of two values whose types do not match."""
     for value, other in ((left, right), (right, left)):
         if other.type == STRING and value.type in NUMBERS:
             return f"write str({c.text(value.span)})"
         if other.type is BOOL and value.type in NUMBERS and not isinstance(value, ir.Const):
-            return help_for_bool(value, c).replace("compare it", "make a bool of it")
+            return help_for_bool(value, c).replace("compare the number", "make the number a bool")
     return ""
 
 
@@ -259,7 +261,9 @@ def _conditional(node: ast.Conditional, c: Context, wanted: Type | None) -> ir.E
     if isinstance(then.type, PerRobot):
         return report_missing_index(then, c)
     if not same_type(then.type, orelse.type):
-        message = f"this is {with_article(then.type)} or {with_article(orelse.type)}; both must be of one type"
+        message = (
+            f"one branch is {with_article(then.type)}, the other {with_article(orelse.type)}: both must be of one type"
+        )
         return c.error("K012", message, node.span, "", (), value)
     return value
 

@@ -64,7 +64,7 @@ _MATHS = {"pi": "pi", "tau": "2 * pi", "e": "exp(1.0)"}
 NO_FUNCTIONS = {
     "int": "a float is never converted to an int automatically: use floor, ceil or round",
     "float": "an int is converted to a float automatically",
-    "bool": "compare it: '!= 0'",
+    "bool": "compare the number with 0: 'n != 0'",
     "print": "write to a stream: 'Log.stdout << a << b' with 'stream stdout' under 'using Log:'",
     "pow": "write a ** b",
     "enumerate": "write 'for i in range(len(xs)):'",
@@ -95,7 +95,7 @@ FIELDS: dict[str, dict[str, Type]] = {
     GRID.name: {"x": INT, "y": INT, "size": FLOAT},
     SCAN.name: {"angles": _FLOATS, "ranges": _FLOATS, "max_range": FLOAT},
 }
-_LOOP = "keep it in a variable that is declared before the loop"
+_LOOP = "keep the value in a variable that is declared before the loop"
 _LENGTHS = ("length", "size", "len", "count", "Length", "Count")
 _INSTEAD_OF_A_ROBOT = {"pid": "name the robots: 'forall i in ID:'"}
 
@@ -122,7 +122,7 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
         case Shared():
             return _shared(name, entity, span, c)
         case Module():
-            return c.error("K017", f"{name} is a module, not a value", span, f"name one of its ports: {name}.port")
+            return c.error("K017", f"{name} is a module, not a value", span, f"name a port of the module: {name}.port")
         case Import():
             return c.error("K017", f"{name} is an import, not a value", span, f"write {_MEMBERS.format(name)}")
         case Record():
@@ -146,7 +146,7 @@ def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
 
 
 def report_shared_in_init(name: str, span: Span, c: Context) -> ir.Expr:
-    help = "other robots may not have run init yet: use a local variable, or do this in an event"
+    help = "other robots may not have run init yet: use a local variable, or read the shared variable in an event"
     return c.error("K023", f"init cannot read {name}: it is shared", span, help)
 
 
@@ -159,13 +159,13 @@ def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr 
         case "init" | "guard" | "effect":
             return None
         case "constant":
-            return c.error("K025", f"an initial value cannot depend on {what}{name}", span, "set it in init")
+            return c.error("K025", f"an initial value cannot depend on {what}{name}", span, "set the variable in init")
         case "function" | "contract":
             message = f"a function can only read its parameters and params: {what}{name} is neither"
-            return c.error("K027", message, span, "pass it as an argument")
+            return c.error("K027", message, span, "pass the value to the function as an argument")
         case "property":
             help = _INSTEAD_OF_A_ROBOT.get(name, f"write {name}[i], with 'forall i in ID:' before it")
-            return c.error("K054", f"a property must name the robot: it does not say whose {name} this is", span, help)
+            return c.error("K054", f"a property must name the robot whose {name} it reads", span, help)
         case "guarantee":
             both = f"{c.guaranteed} and {c.guaranteed}'"
             message = f"a guarantee can only use {both}, params, and ID and N_SYS, not {what}{name}"
@@ -189,7 +189,7 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     if name in NAMED or name in GENERIC:
         return c.error("K017", f"{name} is a type, not a value", span)
     if name == "range":
-        return c.error("K017", "range is not a value", span, "use it in a loop: 'for i in range(n):'")
+        return c.error("K017", "range is not a value", span, "use range in a loop: 'for i in range(n):'")
     if name in VALUES:
         return check_expr(old_name(node, c), c)
     return report_undefined(name, span, c)
@@ -222,7 +222,7 @@ def report_undefined(name: str, span: Span, c: Context) -> ir.Expr:
         return c.error("K010", f"Koord has no '{name}'", span, WORDS[name])
     help = FOREIGN.get(name) or c.suggestion(name, c.visible_names(), _MEANT)
     if not help and c.place == "property":
-        help = f"if it is a robot, name it: 'forall {name} in ID:'"
+        help = f"if {name} is a robot, bind the name: 'forall {name} in ID:'"
     return c.error("K010", f"{name} is not defined", span, help)
 
 
@@ -232,8 +232,8 @@ def report_not_called(name: str, span: Span, c: Context) -> None:
     if name not in FUNCTIONS or owner is None:
         c.error("K017", f"{name} is not a function", span)
         return
-    labels = (Label(owner.span, f"hides the builtin {name}"),)
-    message = f"{name} is not a function here: a variable has its name"
+    labels = (Label(owner.span, f"this name hides the builtin function {name}"),)
+    message = f"{name} is not a function here: a variable has the same name"
     c.error("K017", message, span, "give the variable another name", labels)
 
 
@@ -254,7 +254,7 @@ def report_ended(name: str, span: Span, c: Context) -> bool:
     for statement in _backwards(section, here):
         match statement:
             case tree.Declare(type_, declared, place) if declared == name:
-                help = f"declare it before the block: '{c.text(type_.span)} {name}'"
+                help = f"declare {name} before the block: '{c.text(type_.span)} {name}'"
             case tree.For(names=names) if name in [part.name for part in names]:
                 place, help = statement.span, _LOOP
             case tree.CountedFor(ast.Name(counter)) if counter == name:
@@ -332,7 +332,7 @@ def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None)
         port = declared_port(module, node, c)
         return c.poison(node.span) if port is None else _read_port(module.name, port, node.span, c)
     if type(node.value) is ast.Name and is_unknown(node.value.name, c) and node.name.lower() in _MATHS:
-        name = node.value.name  # math.pi
+        name = node.value.name  # for example math.pi
         return c.error("K010", f"{name} is not defined", node.value.span, f"write {_MATHS[node.name.lower()]}")
     operand = check_expr(node.value, c)
     if operand.type is POISON:
@@ -359,7 +359,7 @@ def _port_of(module: Node | None, name: str) -> Port | None:
 
 
 def assumed_port(name: str, c: Context) -> Module | None:
-    """Return the module of the assumption that is being checked if it has a port of that name, else None."""
+    """Return the module whose assumption is being checked, if the module has a port called `name`; else None."""
     module = c.entities.get(c.module)
     return module if isinstance(module, Module) and _port_of(module, name) is not None else None
 
@@ -376,7 +376,7 @@ def declared_port(module: Module, node: ast.Attribute, c: Context) -> Port | Non
 def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
     name = f"{module}.{port.name}"
     if port.direction == "callable":
-        return c.error("K017", f"{name} is called, not read", span, f"write {name}(goal)")
+        return c.error("K017", f"{name} is a callable port and cannot be read", span, f"write {name}(goal)")
     if port.direction == "stream":
         return c.error("K056", f"{name} is a stream and cannot be read", span, f"write {name} << ...")
     if c.place == "assume" and module == c.module:
@@ -427,13 +427,13 @@ def methods_of(type_: Type) -> list[str]:
 
 
 def report_no_field(operand: ir.Expr, node: ast.Attribute, c: Context) -> ir.Expr:
-    """Report that a value has no such field, and suggest what to write."""
+    """Report a read of a field that a value does not have, and suggest what to write."""
     type_, name, text = operand.type, node.name, c.text(node.value.span)
     fields = fields_of(type_)
     if name in _LENGTHS and (isinstance(type_, (Sequence, MapOf, PerRobot)) or str(type_) == "string"):
         help = f"write len({text})"
     elif name in methods_of(type_):
-        help = f"it is a method: {text}.{name}(...)"
+        help = f"{name} is a method: write {text}.{name}(...)"
     elif isinstance(type_, PerRobot):
         help = f"{text}[i] is the value of robot i"
     elif isinstance(type_, MapOf):
@@ -449,10 +449,10 @@ def _listed(fields: dict[str, Type]) -> str:
 
 
 def is_unknown(name: str, c: Context) -> bool:
-    """Return whether a name is undefined, also in text that could not be parsed."""
+    """Return whether a name is undefined and does not occur in text that could not be parsed."""
     return c.temp(name) is None and not names_a_value(name, c) and name not in c.broken and name not in c.owners
 
 
 def names_a_value(name: str, c: Context) -> bool:
-    """Return whether a name denotes anything but a builtin function."""
+    """Return whether a name denotes a temp, a declaration, or a predefined name other than a builtin function."""
     return c.temp(name) is not None or name in c.entities or (name in PREDEFINED and name not in FUNCTIONS)

@@ -80,7 +80,7 @@ def _record_type(
     seen: dict[str, Span] = {}
     for field in node.fields:
         if isinstance(field.type, written.BrokenType):
-            fields.append((field, POISON))  # the parser only guessed the field's name
+            fields.append((field, POISON))  # the field's name is only the parser's guess
             continue
         type_ = with_capacities(resolve(field.type, c), field.capacities, False, c)
         type_ = POISON if _has_size(field, "in a record", c) else type_
@@ -91,7 +91,7 @@ def _record_type(
     sizes[node.name] = parts, depth
     if parts > _MOST_PARTS or depth > _DEEPEST:
         much = f"more than {_MOST_PARTS} parts" if parts > _MOST_PARTS else f"records more than {_DEEPEST} deep"
-        c.error("K007", f"the record {node.name} holds {much}", node.span, "split it into several records")
+        c.error("K007", f"the record {node.name} holds {much}", node.span, "split the record into several records")
         return fields, None
     if any(type_ is POISON for _, type_ in fields):
         return fields, None
@@ -153,7 +153,7 @@ def variable_types(sections: Iterable[ast.Variables], c: Context) -> TypedVariab
         kind = section.kind
         for node in section.variables:
             if isinstance(node.type, written.BrokenType):
-                continue  # the parser only guessed the variable's name
+                continue  # the variable's name is only the parser's guess
             type_ = _variable_type(node, kind, c)
             typed.append((node, kind, type_))
             if type_ is POISON:
@@ -170,7 +170,7 @@ def _variable_type(node: ast.Variable, kind: Kind, c: Context) -> Type:
     if kind != "allread":
         if _has_size(node, f"under '{kind}:'", c):
             resolve(type_, c)
-            return POISON  # without a type, uses of the variable with an index are not reported as further errors
+            return POISON  # a use of the variable with an index would be a further error if the variable had a type
     elif node.size is not None:
         if not is_fleet_size(node.size, c) and not isinstance(node.size, tree.Broken):
             _not_per_robot(node, node.size.span, c)
@@ -223,8 +223,8 @@ def _initial(
 ) -> expr.Expr:
     """Check an initial value.
 
-    An initial value may use literals, builtin functions and params. If `no_params` is not empty, it is the message that
-    reports a use of a param.
+    An initial value may use literals, builtin functions and params. If `no_params` is not empty, params are
+    not allowed, and `no_params` is the message that reports a param.
     """
     if value is None:
         return c.poison(node.span) if type_ is POISON else default(type_, node.span, c)

@@ -24,7 +24,7 @@ Signature = tuple[tuple[decl.Parameter, ...], Type]
 def signature(node: ast.Function | ast.ExternFunction | ast.SpecFunction, c: Context) -> Signature:
     """Define a function and return its parameters and result type.
 
-    The result type is POISON if it is wrong, or not known before the body is checked.
+    The result type is POISON if the declared type is wrong, or if only a check of the body can tell the type.
     """
     parameters = tuple([decl.Parameter(p.name, _parameter_type(p, c)) for p in node.parameters])
     result = POISON if node.result is None else resolve(node.result, c)
@@ -46,7 +46,7 @@ def _parameter_type(node: ast.Parameter, c: Context) -> Type:
     if node.size is None or type_ == POISON or isinstance(node.size, tree.Broken):
         return type_
     if not is_fleet_size(node.size, c):
-        message = f"only N_SYS is a size: {node.name} has one value for each robot, or it is a list"
+        message = f"only N_SYS is a size: {node.name} has one value for each robot, or {node.name} is a list"
         c.error("K017", message, node.size.span, f"write {type_} {node.name}[N_SYS], or List<{type_}> {node.name}")
         return POISON
     return PerRobot(type_)
@@ -150,12 +150,12 @@ def _modernise(node: ast.Function, result: Type, c: Context) -> None:
     new = "fun"
     if node.result is None and result != POISON:
         new = f"fun ... -> {result}"
-        close = _closing_bracket(node, c)
+        close = _parameters_end(node, c)
         edits.append(Edit(Span(close.line, close.column, close.line, close.column), f" -> {result}"))
     c.report_old_spelling("def fun", new, start, tuple(edits))
 
 
-def _closing_bracket(node: ast.Function, c: Context) -> Span:
+def _parameters_end(node: ast.Function, c: Context) -> Span:
     """Return the position after the bracket that ends the parameters."""
     last = node.parameters[-1].span if node.parameters else node.span
     line, column = last.end_line, last.end_column
@@ -184,7 +184,7 @@ def _extern(node: ast.ExternFunction, c: Context) -> decl.ExternFunction:
     requires = _formulas(node, "requires", c)
     for parameter in node.parameters:
         if parameter.name == "result" and node.contracts:
-            message = "in a contract, result is the function's result"
+            message = "in a contract, the name result denotes the function's result"
             c.error("K011", message, parameter.span, "choose another name")
     c.scopes.append({"result": Temp(c.mint("result"), entity.result, node.span)})
     ensures = _formulas(node, "ensures", c)

@@ -45,7 +45,7 @@ def _add_port(
     node: ast.Port, under: Literal["sensor", "actuator", ""], module: str, ports: dict[str, decl.Port], c: Context
 ) -> None:
     if isinstance(node.type, BrokenType):
-        return  # the parser only guessed the port's name
+        return  # the port's name is only the parser's guess
     type_ = resolve(node.type, c, True)
     first = ports.get(node.name)
     if first is not None:
@@ -57,7 +57,9 @@ def _add_port(
 
 
 def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
-    """Return the meaning that a port's marks declare; without marks, the usual meaning of a port of that name."""
+    """Return the meaning of a port, as its marks (`as`, `at`, `clears`) declare it.
+
+    A port without marks has the usual meaning of a port of that name."""
     if not node.marks:
         return usual(port, ports.values())
     position, held, clears = False, "", list[str]()
@@ -79,7 +81,7 @@ def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Co
 def _mark_error(mark: ast.Mark, port: decl.Port) -> tuple[str, Span, str] | None:
     """Return message, span and help of the error if a port cannot have the mark; otherwise None."""
     if mark.word != "as":
-        help = f"{port.name} is not an actuator, so it gets no commands"
+        help = f"{port.name} is not an actuator and gets no commands"
         return (
             None
             if port.direction == "actuator"
@@ -97,15 +99,14 @@ def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Con
     name = mark.name
     sensor = ports.get(name)
     if sensor is None or sensor.direction != "sensor":
-        c.error("K059", f"this module has no sensor '{name}'", mark.span, "declare it under 'sensors:'")
+        c.error("K059", f"this module has no sensor '{name}'", mark.span, "declare the sensor under 'sensors:'")
         return False
     if sensor.type != type_ and POISON not in (sensor.type, type_):
-        wanted = (
-            f"'clears' takes sensors of type {type_}"
-            if mark.word == "clears"
-            else f"the actuator is {with_article(type_)}"
-        )
-        c.error("K059", f"the sensor '{name}' is {with_article(sensor.type)}; {wanted}", mark.span)
+        found = f"the sensor '{name}' is {with_article(sensor.type)}"
+        if mark.word == "clears":
+            c.error("K059", f"{found}; 'clears' takes sensors of type {type_}", mark.span)
+        else:
+            c.error("K059", f"{found}; the actuator is {with_article(type_)}", mark.span)
         return False
     return True
 
@@ -113,7 +114,7 @@ def _has_sensor(mark: ast.Mark, type_: Type, ports: dict[str, decl.Port], c: Con
 def _direction(
     node: ast.Port, type_: Type, under: Literal["sensor", "actuator", ""], name: str, c: Context
 ) -> Direction:
-    help = "declare it directly under 'using'"
+    help = "declare the port directly under 'using'"
     if type_ is PLANNER:
         if under == "actuator":
             c.error("K017", f"{name} is called, not written: a PathPlanner is not an actuator", node.span, help)
@@ -123,7 +124,7 @@ def _direction(
             c.error("K017", f"{name} is written, not read: a stream is not a sensor", node.span, help)
         return "stream"
     if not under:
-        help = f"declare it under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
+        help = f"declare the port under 'sensors:' or 'actuators:' of {name.partition('.')[0]}"
         if type_ is not POISON:
             c.error(
                 "K017",

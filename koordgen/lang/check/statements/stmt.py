@@ -67,13 +67,13 @@ def _unassigned(node: tree.Assign, c: Context) -> ir.Expr:
     if not forgotten or not isinstance(target, ast.Name) or c.found[at].help != declaration(target.name):
         return value
     if isinstance(node.value, ast.ListDisplay) and not node.value.items:
-        type_ = list_of(POINT)  # the declaration in the help needs a type: this is an example
+        type_ = list_of(POINT)  # an example of a type, for the declaration that the help shows
     known = type_ is not POISON and not isinstance(type_, PerRobot)
     span, text = node.value.span, c.text(node.value.span)
     kept = known and not node.op and span.line == span.end_line and len(text) <= 40
     help = declaration(target.name, str(type_) if known else "Type", text if kept else "...")
     if c.place in ("init", "effect"):
-        help += "; declare it under 'local:' to keep it for later events"
+        help += f"; declare {target.name} under 'local:' to keep it for later events"
     c.found[at] = replace(c.found[at], help=help)
     return value
 
@@ -84,7 +84,7 @@ def write(target: AssignmentTarget, value: ir.Expr, reads: bool, span: Span, c: 
     hoist(span, c, out)
     if c.place == "init" and type(place) is stmt.SharedPlace:
         if (reads or not target.whole) and place.name not in c.written:
-            help = "build the value in a variable of the block, and assign that variable"
+            help = "build the value in a variable of the block, then assign that variable to the shared one"
             c.error("K023", f"init cannot change {place.name}, only set it: it is shared", span, help)
         else:
             c.written.add(place.name)
@@ -105,8 +105,8 @@ def hoist(span: Span, c: Context, out: Out) -> None:
 def _assign_popped(node: tree.Assign, target: AssignmentTarget, c: Context, out: Out) -> None:
     """Check `x = q.pop()`, which reads an element of `q`, assigns it to `x`, and removes it from `q`.
 
-    If `x` is a part of a variable, `q` is written first and `x` last. The same holds if the removal reads `x`, as in
-    `i = xs.pop(i)`: otherwise an element would be removed that is not the one that was read.
+    If `x` is a part of a variable, `q` is written first and `x` last. This order is also used if the removal reads `x`,
+    as in `i = xs.pop(i)`: a new value of `i` would remove another element than the element that was read.
     """
     assert isinstance(node.value, ast.Call)
     update = check_update(node.value, c)
@@ -135,7 +135,7 @@ def _declare(node: tree.Declare, c: Context, out: Out) -> None:
     update = None
     if node.value is None:
         if type_ is POISON and (c.temp(node.name) is not None or node.name in c.entities):
-            out.append(draft.WrongStmt((), node.span))  # `assert b` is parsed like a declaration
+            out.append(draft.WrongStmt((), node.span))  # for example `assert b`, which is parsed like a declaration
             return
         value = default(type_, node.span, c)
     elif is_pop(node.value, c):
@@ -180,7 +180,7 @@ def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
     elif isinstance(value, ast.Binary) and value.op == "<<":
         _emit(value, node.span, c, out)
     elif isinstance(value, ast.Compare) and value.rest[0][0] == "==":
-        c.error("K024", "this compares and does nothing", node.span, "'=' assigns")
+        c.error("K024", "this comparison does nothing", node.span, "'=' assigns")
         out.append(draft.WrongStmt((), node.span))
     else:
         checked = check_expr(value, c)
@@ -188,8 +188,13 @@ def _evaluate(node: tree.Evaluate, c: Context, out: Out) -> None:
         if checked.type is POISON:
             return
         if isinstance(value, ast.Call):
-            help = f"assign it: x = {c.text(node.span)}"
-            c.error("K024", "the result of this call is not used", node.span, help if len(help) < 60 else "assign it")
+            help = f"assign the result: x = {c.text(node.span)}"
+            c.error(
+                "K024",
+                "the result of this call is not used",
+                node.span,
+                help if len(help) < 68 else "assign the result",
+            )
         else:
             c.error("K024", "this value is not used", node.span)
 
@@ -213,10 +218,10 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
     if module is None:
         items = (*items, check_expr(head, c))
         if items[-1].type is not POISON:
-            help = "declare one: 'using Log:' with 'stream stdout' under it"
+            help = "declare a stream: 'using Log:' with 'stream stdout' under it"
             c.error("K056", f"{c.text(head.span)} is not a stream", head.span, help)
     elif port is not None and port.type is STREAM:
-        help = "write to it in the event that calls the function"
+        help = "write to the stream in the event that calls the function"
         c.error("K027", "a function has no effects: it cannot write to a stream", span, help)
     elif port is not None and port.type is not POISON:
         c.error("K056", f"{module.name}.{port.name} is {with_article(port.type)}, not a stream", head.span)
@@ -224,13 +229,13 @@ def _emit(node: ast.Binary, span: Span, c: Context, out: Out) -> None:
 
 
 def _as_string(value: ir.Expr, c: Context) -> ir.Expr:
-    """Return the expression of the string that is written to a stream for a value."""
+    """Return an expression for the string that a stream shows for a value."""
     type_ = value.type
     if type_ is POISON or type_ == STRING:
         return value
     if type_ is INT or type_ is FLOAT or type_ is BOOL or type_ is POINT:
         return ir.Builtin("str", (value,), STRING, value.span)
-    help = "write its parts, or its length"
+    help = "write the parts of the value, or its length, to the stream"
     return c.error("K056", f"a stream cannot show {with_article(type_)}", value.span, help, (), value)
 
 
@@ -258,7 +263,9 @@ def _atomic(node: tree.Atomic, c: Context, out: Out) -> None:
     if c.atomic:
         c.error("K045", "'atomic' is nested in 'atomic'", node.span, "remove the inner 'atomic:'")
     elif c.place == "function":
-        c.error("K045", "a function cannot be atomic", node.span, "put 'atomic:' around its call in an event")
+        c.error(
+            "K045", "a function cannot be atomic", node.span, "put 'atomic:' around the function's call in an event"
+        )
     elif c.place == "init":
         help = "remove 'atomic:': robots cannot read shared variables in init, so no update can be lost"
         c.error("K045", "init cannot be atomic", node.span, help)
@@ -294,7 +301,7 @@ def _continue(node: tree.Continue, c: Context, out: Out) -> None:
 
 def _stop(node: tree.Stop, c: Context, out: Out) -> None:
     if c.place == "function":
-        c.error("K027", "a function cannot stop its robot", node.span, "'return' a result, and stop in the event")
+        c.error("K027", "a function cannot stop its robot", node.span, "return a result, and write 'stop' in the event")
     out.append(stmt.Stop(node.span))
 
 

@@ -10,7 +10,7 @@ from typing import TypeGuard
 
 from koordgen.lang.check.base import check_expr, converted, converted_argument, has_call, is_poisoned, with_article
 from koordgen.lang.check.context import PREDEFINED, Context
-from koordgen.lang.check.expressions.call import positional_arguments, report_no_method, skip
+from koordgen.lang.check.expressions.call import checked_arguments, positional_arguments, report_no_method
 from koordgen.lang.check.expressions.collection import element
 from koordgen.lang.check.expressions.name import (
     FOREIGN,
@@ -58,7 +58,7 @@ class AssignmentTarget(Node):
 
 
 def check_target(node: ast.Expr, c: Context) -> AssignmentTarget | None:
-    """Return the target of an assignment. If it cannot be assigned, report this and return None."""
+    """Return the target of an assignment. Report an expression that cannot be assigned, and return None."""
     match node:
         case ast.Name():
             return _named(node, c)
@@ -117,7 +117,7 @@ def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
         case Shared():
             c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
         case Param():
-            c.error("K022", f"{name} is a param and cannot be assigned", span, "declare it under 'local:'")
+            c.error("K022", f"{name} is a param and cannot be assigned", span, "declare a variable under 'local:'")
         case Import():
             c.error("K022", f"{name} is an import and cannot be assigned", span)
         case Module():
@@ -155,8 +155,8 @@ def _unknown(node: ast.Name, c: Context) -> None:
 
 
 def declaration(name: str, type_: str = "Type", value: str = "...") -> str:
-    """Return the help for an assignment to an undeclared variable: a declaration."""
-    return f"declare it: '{type_} {name} = {value}'"
+    """Return the help for an assignment to an undeclared variable: the text of a declaration."""
+    return f"declare {name}: '{type_} {name} = {value}'"
 
 
 def _slot(node: ast.Index, entity: Shared, c: Context) -> AssignmentTarget | None:
@@ -185,7 +185,7 @@ def _port(module: Module, node: ast.Attribute, c: Context) -> AssignmentTarget |
     elif port.direction == "stream":
         c.error("K056", f"{name} is a stream and cannot be assigned", node.span, f"write {name} << ...")
     else:
-        c.error("K022", f"{name} is called and cannot be assigned", node.span)
+        c.error("K022", f"{name} is a callable port and cannot be assigned", node.span)
     return None
 
 
@@ -216,7 +216,7 @@ def _element(outer: AssignmentTarget, node: ast.Index, c: Context) -> Assignment
     part = element(read, index, node, c)
     if part.type is not POISON:
         message = f"{c.text(node.span)} is a part of {with_article(type_)} and cannot be assigned"
-        c.error("K022", message, node.span, "assign it as a whole")
+        c.error("K022", message, node.span, "assign the whole value")
     return None
 
 
@@ -255,7 +255,7 @@ def hoisted(index: ir.Expr, c: Context) -> ir.Expr:
 
 # Methods that change their object: `xs.append(v)` assigns to `xs` a list with one more element.
 
-Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # changed target; result of `pop`, or None; new value
+Update = tuple[AssignmentTarget, ir.Expr | None, ir.Expr]  # (changed target, result of `pop` or None, new value)
 _NAMES = {name for _, name in UPDATES} | {"pop"}
 
 
@@ -275,12 +275,14 @@ def is_pop(node: ast.Expr | None, c: Context) -> TypeGuard[ast.Call]:
 
 
 def check_update(node: ast.Call, c: Context) -> Update | None:
-    """Return the effect of a call for which `is_update` is true. If it is wrong, report this and return None."""
+    """Return the target, the result and the new value of a call of an updating method: `xs.append(1)`.
+
+    Reports a wrong call and returns None."""
     function = node.function
     assert isinstance(function, ast.Attribute)
     target = check_target(function.value, c)
     if target is None or target.read.type is POISON:
-        skip(node, c)
+        checked_arguments(node, c)
         return None
     type_, name = target.read.type, function.name
     word = type_word(type_)
@@ -288,12 +290,12 @@ def check_update(node: ast.Call, c: Context) -> Update | None:
         return _pop(target, node, c)
     update = UPDATES.get((word, name))
     if update is None:
-        skip(node, c)
+        checked_arguments(node, c)
         report_no_method(target.read, function, c)
         return None
     types = _arguments(type_, name)
-    takes = f"{name} takes ({', '.join(map(str, types))})"
-    nodes = positional_arguments(node, name, (len(types),), takes, c)
+    usage = f"{name} takes ({', '.join(map(str, types))})"
+    nodes = positional_arguments(node, name, (len(types),), usage, c)
     if not isinstance(nodes, tuple):
         return None
     args = [
