@@ -232,7 +232,7 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
         for arguments in ([], ["--check"]):
             assert run(bundles[1], *arguments) == 5
             said = capsys.readouterr().err
-            assert re.search(rf"error: .*127\.0\.0\.1:{port}, where robot bert listens, is in use", said)
+            assert re.search(rf"error: .*127\.0\.0\.1:{port}, the address of robot bert: the address is in use", said)
 
 
 def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
