@@ -41,7 +41,7 @@ _encode = msgspec.msgpack.Encoder().encode
 
 _KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
-_SLOTS = (2, KEPT + 1, 2)  # number of slots for each kind: one more than needed, because a crash may damage the last
+_SLOTS = (2, KEPT + 1, 2)  # number of slots for each kind: one more than needed, because a crash may damage a record
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
 

@@ -25,6 +25,7 @@ from koordgen.runtime.net.wire import Entry, Hello
 PERIOD = 0.2  # seconds between two Hellos to the same robot
 FEW = 32  # largest fleet with this period; the period of a larger fleet is longer in proportion, to limit the load
 LEAD = 5  # periods from the proposal of the start to round 1; meanwhile Hellos of several robots spread the proposal
+
 # Reason why datagrams are dropped -> explanation for users why a robot is not heard although its datagrams arrive.
 _UNHEARD = {
     "not authentic": "datagrams arrive that were sealed with another key than this robot's",
@@ -79,6 +80,7 @@ class Joining:
         self.met = True  # True if every robot knows this robot's boot
         self._restarted: set[int] = set()  # robots that restarted without their state during the mission
         self._untold = False  # True if `began_anew` has yet to report some of the restarted robots
+
         # Hellos that may be replays: the robots that were answered in this period, and for each robot the number of its
         # further Hellos in this period and the challenge of one of these Hellos.
         self._answered: set[int] = set()
@@ -202,10 +204,10 @@ class Joining:
         self._learn(other, hello, fleet)
 
     def _learn(self, other: _Other, hello: Hello, fleet: float | None) -> None:
-        """Learn from a Hello in which mission its sender is, and the start of this robot's mission."""
+        """Record from a Hello whether its sender is in this robot's mission, and when the mission starts."""
         epoch = hello.head.epoch
         if hello.start is not None and epoch != self._link.epoch and epoch in self._announced:
-            self.come_back(epoch)  # the others began this mission; then another robot restarted
+            self.come_back(epoch)  # the mission had begun before another robot restarted
         other.idle = hello.start is None
         other.elsewhere = hello.start is not None and epoch != self._link.epoch
         other.inside = hello.start is not None and not other.elsewhere
@@ -228,7 +230,7 @@ class Joining:
         elsewhere = [self._names[p] for p, o in self._others.items() if o.elsewhere]
         parts = []
         if elsewhere:
-            parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
+            parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end that mission first")
         if silent:
             reasons = dict.fromkeys(text for reason, text in _UNHEARD.items() if self._link.rejected.get(reason))
             why = f" ({'; '.join(reasons)})" if reasons else ""

@@ -23,6 +23,7 @@ class Persistence:
         self._codec = LocalsCodec(program)
         self._n = n_sys
         self._epoch = b""  # epoch of the persisted mission
+
         # Last persisted view and vote, and their encodings.
         self._encoded: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""
         self.past = store.load()
@@ -71,7 +72,7 @@ class Persistence:
         return found
 
     def last_hard_state(self) -> HardState:
-        """Return the hard state that an earlier process has persisted; without it, a new mission's hard state."""
+        """Return the last hard state of an earlier process, or else the hard state of a new mission."""
         kept = self.past.acceptor
         if kept is None:
             return first_hard_state(self._n)

@@ -59,7 +59,7 @@ __all__ = ["Agent", "main"]
 INTERRUPTED = 130
 LONGEST_WAIT = 0.1  # seconds; longest wait for messages, and therefore the longest delay until a signal is handled
 YOUNG = 10_000  # number of new objects that starts a collection of the youngest generation; a collection takes 0.3 ms
-PIECE = 200  # number of characters written at once; a pipe or terminal that is ready accepts so many
+PIECE = 200  # number of characters written at once, so few that a pipe or terminal that is ready accepts all of them
 
 NO_DRIVERS: Drivers = {}
 
@@ -227,7 +227,7 @@ def _run(
         signals = opened.enter_context(_Signals())
         seen = 0
         stopped = False
-        agent.poll(clock.now())  # the vehicle opens and imports its dependencies
+        agent.poll(clock.now())  # this first call opens the vehicle and imports its dependencies
         settle_collector()
         notifier.ready()
         while not agent.done:
@@ -247,7 +247,7 @@ def _run(
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)
-        gc.unfreeze()  # so that OMPL's binding can report leaks at the end
+        gc.unfreeze()  # return all objects to the collector, so that OMPL's binding can report leaks at the end
         return agent.status
 
 
@@ -365,6 +365,6 @@ def _is_writable(stream: TextIO) -> bool:
     """Return whether a short text can be written to the stream without waiting."""
     try:
         number = stream.fileno()
-    except (OSError, ValueError):  # the stream is not a file of the system
+    except (OSError, ValueError):  # the stream has no file descriptor
         return True
     return bool(select.select([], [number], [], 0.0)[1])

@@ -40,7 +40,7 @@ from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
 PUBLISH = 0.5  # publish deadline as a fraction of the round; the round's entry must be sent before the deadline
-PUNCTUAL = 0.5  # fraction of a tick; a robot that wakes more than this after its due time counts as late
+PUNCTUAL = 0.5  # fraction of a tick; a robot counts as late if it wakes later than this after the time it was due
 GATHER = 300e-6  # seconds to wait per missing entry, so that several received entries are handled together
 MOST_GATHER = 0.2  # longest wait for all missing entries together, as a fraction of the round (one tick)
 LINGER = 20  # number of rounds for which a robot still answers other robots after all robots have stopped
@@ -53,7 +53,7 @@ class _Present:
     open: bool = False
     sensed: Sensed | None = None
     tick: int = -1  # last tick of the round that was handled
-    acknowledged: bool = False  # this robot has reported to the robots that wait that it has applied the round
+    acknowledged: bool = False  # the robots that wait know that this robot has applied the round
 
 
 class Lost(Exception):
@@ -179,7 +179,7 @@ class Rounds:
         ripe = fresh and present.open and state is not None and state.applied == self.round - 1
         if fresh:
             present.tick = tick
-            if not ripe:  # if ripe, the event runs first, because all other robots wait for its entry
+            if not ripe:  # an event that is ripe runs first, because all other robots wait for its entry
                 self._driver.tick((self.round - 1) * TICKS + tick)
                 state = self._replica.state
         if state is not None and not present.open and self._is_calm(state):
@@ -397,7 +397,7 @@ class Rounds:
         self._outputs.add(record, lock, life)
 
     def _acknowledge(self, applied: int) -> None:
-        """Report to the robots that wait for it that this robot has applied the present round."""
+        """Report that this robot has applied the present round, to the robots that wait for this report."""
         if applied >= self.round and not self._present.acknowledged:
             self._present.acknowledged = True
             self._replica.acknowledge(self.round)

@@ -57,9 +57,11 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     position_stale: Seconds = 0.5  # seconds without a fresh own position after which the robot holds its position
     position_lost: Seconds = 2.0  # seconds without a fresh own position after which the robot stops safely
+
     # Number of consecutive rounds without current shared state after which `missed_action` applies.
     missed_rounds: Annotated[int, msgspec.Meta(ge=1, le=10000)] = 10
     missed_action: Literal["hold", "rest"] = "hold"  # hold: warn and keep holding; rest: stop safely
+
     # Number of rounds without messages of a robot after which the other robots continue without that robot.
     peer_timeout: Annotated[int, msgspec.Meta(ge=3, le=10000)] = 10
     outside_fence: Seconds = 0.5  # seconds outside the geofence after which the robot stops safely
@@ -99,6 +101,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     monitors: dict[str, Action] = {}
     body: dict[str, Any] = {}
     trace: str | None = None  # path of the trace; None: no trace is written
+
     # Largest size of all parts of the trace together, in megabytes (10^6 bytes); None: no limit.
     trace_limit: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = 256.0
     # Seconds that a planner call within an event may take. Longer calls are counted and reported.
@@ -133,7 +136,7 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
     if pid is not None:
         merged["pid"] = pid
     if merged.get("release"):
-        raise BadSettings(f"{overrides or path}: a release is not set, but read from the file {RELEASE}; remove it")
+        raise BadSettings(f"{overrides or path}: a release is not set here but in the file {RELEASE}; remove `release`")
     merged["release"] = _release(path.parent / RELEASE)
     try:
         settings = msgspec.convert(merged, Settings)

@@ -25,7 +25,7 @@ from typing import Any
 
 COMPILERS = ("cc", "gcc", "clang")
 DIGITS = 32  # number of hexadecimal digits of a digest in a file name
-TIMEOUT = 60.0  # seconds that a compiler may acquire, and that a process waits for another process that compiles
+TIMEOUT = 60.0  # seconds that a compilation may last, in this process or in another process that this process waits for
 POLL_EVERY = 0.01  # seconds between two checks whether another process has finished its compilation
 
 
@@ -43,7 +43,7 @@ class Library:
         compiler. It may raise NotCompiled.
     prove: function that checks the loaded library. It raises NotCompiled, or AttributeError for a missing function, if
         the library must not be used.
-    timeout: seconds that the compilation may acquire."""
+    timeout: seconds that the compilation may last."""
 
     name: str
     identity: bytes
@@ -131,7 +131,7 @@ class Library:
                 command, stdin=subprocess.DEVNULL, capture_output=True, timeout=self.timeout, cwd=folder, check=False
             )
         except subprocess.TimeoutExpired:
-            raise self.fails(f"{compiler} was not done after {self.timeout:.0f} s") from None
+            raise self.fails(f"{compiler} did not finish within {self.timeout:.0f} s") from None
         if done.returncode or not library.is_file():
             lines = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
             raise self.fails(f"{compiler} failed with status {done.returncode}: {lines[0][:200]}")

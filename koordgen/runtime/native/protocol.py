@@ -39,7 +39,7 @@ MODULES = (
 GROUP = "koordgen_protocol"  # name of the library for mypyc; every compiled module imports the module GROUP__mypyc
 TIMEOUT = 900.0  # seconds for a compilation, which takes minutes on a small computer
 FLAGS = ("-O1", "-shared", "-fPIC", "-fwrapv", "-w", "-DNDEBUG", "-fvisibility=hidden", "-fno-semantic-interposition")
-INSTALL_MYPYC = "install it for this Python: `pip install 'mypy[mypyc]'`"
+INSTALL_MYPYC = "install mypyc for this Python: `pip install 'mypy[mypyc]'`"
 # The first entry of the child process's import path is the bundle. It may contain files of any name, so it is removed.
 _TRANSLATE = f"""
 import sys

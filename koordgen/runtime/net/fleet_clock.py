@@ -21,6 +21,7 @@ SLOT = 16.0  # seconds of a slot; the tightest bounds of each slot are kept
 SLOTS = 32  # number of slots that are kept
 APART = 5.0  # seconds that two bounds must be apart to yield an estimate of the rate
 ROUNDING = 2e-6  # seconds; largest rounding error, because time stamps are whole microseconds
+
 # Largest correction of a locked clock, as a share of the elapsed time. It keeps fleet time monotonic and rounds even.
 SLEW = 0.05
 FRESH = 0.02  # seconds for which an estimate is reused; in this time two clocks drift apart by at most 4 microseconds
@@ -240,7 +241,7 @@ class FleetClock:
         return fleet - self._offset
 
     def _estimate(self, now: float) -> tuple[float, float] | None:
-        """Return fleet time minus local time by the reference's last report, and the largest error of it (s)."""
+        """Return fleet time minus local time as reported by the reference, and the largest error (s)."""
         peer = self._exchanges.get(self.reference)
         if peer is None or peer.fleet is None or self.reference == self._pid:
             return None

@@ -46,14 +46,14 @@ class Reassembly:
     def __init__(self, name: bytes, count: int) -> None:
         self.name = name
         self.count = count
-        self._room = 0  # length of all fragments but the last; 0 until one of them has arrived
+        self._room = 0  # length of all fragments but the last; 0 until such a fragment has arrived
         self._parts: dict[int, bytes] = {}
 
     def add(self, fragment: Cut) -> str | None:
         """Add a fragment. Return None, or the reason for a refusal. A repeated fragment is not refused."""
         name, index, count, data = fragment
         if name != self.name or count != self.count:
-            return "fragment of something else"
+            return "fragment of another blob"
         if not 0 <= index < count <= MOST_FRAGMENTS or not 0 < len(data) <= LIMIT or not self._even(index, len(data)):
             return "fragment does not fit"
         if index not in self._parts:

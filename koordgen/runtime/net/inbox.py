@@ -35,7 +35,7 @@ class Inbox(Protocol):
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """Wait for datagrams, as Transport.wait does. The last datagram may be left for the next call."""
+        """Wait as Transport.wait does. A datagram at the very end may be left for the next call."""
         ...
 
     def receive(self) -> list[bytes]:
@@ -94,7 +94,7 @@ class PythonInbox:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
-        if place == GROUP and self._shares:  # robots on this core can send; all robots wait for the last one
+        if place == GROUP and self._shares:  # let other robots on this core send: all robots wait for the last one
             os.sched_yield()
         return 0
 

@@ -100,7 +100,7 @@ class Layout:
         return tuple([msgspec.Raw(encoder.encode(store[name])) for name in self.names])
 
     def unpack(self, values: Sequence[msgspec.Raw]) -> dict[str, Any] | None:
-        """Decode a store encoded by `pack`; None if it does not fit this program."""
+        """Decode a store that `pack` has encoded. Return None if the store does not fit this program."""
         if len(values) != len(self.names):
             return None
         store: dict[str, Any] = {}
@@ -146,7 +146,7 @@ class Layout:
     def read(self, entry: Entry) -> Sequence[tuple[int, Any]] | None:
         """Return the values of an entry as pairs (index of the variable, value).
 
-        The value of a patch is an Unpatched. Return None if the entry does not fit this program."""
+        For a patch, the value is an Unpatched object. Return None if the entry does not fit this program."""
         first, round_, writes = entry.first, entry.round, entry.writes
         if entry.author >= self.n_sys or first > round_:
             return None

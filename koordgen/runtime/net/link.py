@@ -66,7 +66,7 @@ class Link:
         self._interface = bytes.fromhex(program.interface_hash)
         self._program = bytes.fromhex(program.program_hash)
         self._release = bytes.fromhex(settings.release)
-        self._mission: tuple[int, bytes, bytes, bytes] | None = None  # fields that a head must have, except a Hello's
+        self._mission: tuple[int, bytes, bytes, bytes] | None = None  # in the head of every message but Hello
         self._decode = decoder(key)
         self._others_every = others_every(len(settings.peers))
         self._transport = transport
@@ -147,7 +147,7 @@ class Link:
         return admitted
 
     def pop_hellos(self) -> list[Hello]:
-        """Return the Hello messages received since the last call. They may be of boots that are not adopted."""
+        """Return the Hello messages received since the last call, also those of boots that are not adopted."""
         hellos, self._hellos = self._hellos, []
         return hellos
 
@@ -183,7 +183,7 @@ class Link:
         return None
 
     def _foreign(self, head: Head) -> str | None:
-        """Return a mismatch of a head with this robot's application, peers, interface or program, or None."""
+        """Return why a head is not from a peer with this application, interface and program, or None."""
         if head.application != self._application:
             return "another application"
         if head.pid >= len(self._names) or head.pid == self.pid:

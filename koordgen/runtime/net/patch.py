@@ -12,7 +12,7 @@ import msgspec
 
 WORTH = 0.6  # largest length of a patch as a share of the new encoding; otherwise the whole value is sent
 
-_GAP = re.compile(rb"\0{7,}")  # equal bytes that separate two runs; fewer equal bytes cost less than a further run
+_GAP = re.compile(rb"\0{7,}")  # gap of equal bytes between two runs; a shorter gap costs less than a further run
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(list[tuple[int, int, bytes]])
 

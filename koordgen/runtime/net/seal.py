@@ -37,7 +37,7 @@ def load_key(path: Path) -> bytes:
             "(all robots use one key; `koordgen key new FILE` makes a key)"
         ) from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise BadKey(f"{path}: others may read it; run `chmod 600 {path}`")
+        raise BadKey(f"{path}: other users may read it; run `chmod 600 {path}`")
     if len(key) != KEY_SIZE:
         raise BadKey(f"{path}: the file has {len(key)} bytes, a key has {KEY_SIZE}; make a key with `koordgen key new`")
     return key

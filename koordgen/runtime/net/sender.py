@@ -32,7 +32,7 @@ from koordgen.runtime.net.wire import (
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
-REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between exchanges with the reference, or another peer
+REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between two exchanges with the reference, with another peer
 OTHERS = 16  # largest fleet in which OTHERS_EVERY holds; in a larger fleet, exchanges with each peer are rarer
 ECHOES_A_LESSON = 2  # number of echoes sent for each exchange that the fleet clock needs, because some echoes are lost
 MOST_DATAGRAMS = 4  # largest number of datagrams of one round message
@@ -72,7 +72,7 @@ class MessageSender:
         self._sessions = sessions
         self._sequence = 0  # sequence number of the last datagram
         self._others_every = others_every(len(settings.peers))
-        self._echoed: dict[int, float] = {}  # pid -> time of the last echo to that peer, ascending
+        self._echoed: dict[int, float] = {}  # pid -> time of the last echo to that peer, by ascending time
         self._next_echo = -math.inf  # time before which no echo is due
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Entry | None,

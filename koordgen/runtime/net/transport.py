@@ -22,7 +22,7 @@ class Transport(Protocol):
     datagram's MAC authenticates the sender."""
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
-        """Send a datagram to the robots `to`. With several receivers, it may reach all other robots, too."""
+        """Send a datagram to robots `to`. If they are several, all other robots may receive it as well."""
         ...
 
     def receive(self) -> Sequence[bytes]:

@@ -31,7 +31,8 @@ Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round number: enough f
 MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 PerRobot = Annotated[tuple[Short, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Incarnations = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
-Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]  # bit i of byte i // 8: fragment i is held
+# Bit i % 8 of byte i // 8 is 1 if fragment i was received.
+Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]
 Data = Annotated[bytes, msgspec.Meta(max_length=LIMIT)]
 
 
@@ -170,7 +171,8 @@ class RoundMessage(Wired, frozen=True, tag=1):
 class HeldFragments(Wired, frozen=True):
     """Report of the fragments of one entry that the sender of the report has received.
 
-    author, round, digest: the entry. mask: bit i % 8 of byte i // 8 is set for each received fragment i."""
+    `author`, `round` and `digest` identify the entry. Bit i % 8 of byte i // 8 of `mask` is 1 if fragment i was
+    received."""
 
     author: Pid
     round: Natural

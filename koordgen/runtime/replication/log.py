@@ -15,6 +15,7 @@ import msgspec
 from koordgen.runtime.net.wire import Entry, Write
 
 MOST_BEHIND_GAP = 64  # largest number of one author's entries kept while an earlier entry is missing
+
 # Largest number of kept entries per author whose writes are not copied out of their datagram. A copy costs time, and
 # most entries are dropped soon. Further entries are copied, so that they do not keep their datagrams in memory.
 MOST_SHARING = 8

@@ -68,7 +68,7 @@ class Replica:
     ) -> None:
         self.pid, self._n = pid, layout.n_sys
         self._layout = layout
-        self._peer_timeout = peer_timeout  # rounds
+        self._peer_timeout = peer_timeout  # number of rounds
         self._others = tuple([p for p in range(self._n) if p != pid])
         self.peers = {p: Progress() for p in self._others}
         self._tick, self.round = 0, 1  # present tick and present round
@@ -127,7 +127,7 @@ class Replica:
         return [p for p, applied in self._member_progress().items() if applied < round_]
 
     def _member_progress(self) -> dict[int, int]:
-        """Return pid -> last round that another member has reported as applied in the present view; -1: none."""
+        """Return pid -> last round that a member has reported as applied in the present view; -1: no report."""
         view = self.views.view
         return {
             p: peer.applied if peer.view == view.number else -1
@@ -201,7 +201,7 @@ class Replica:
 
     def propose(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
                 awaits_commit: bool = False, lock: int = -1, private: object = None) -> None:  # fmt: skip
-        """Close round `round_` and send this robot's entry of it. For the parameters see StateMachine.close.
+        """Close round `round_` and send this robot's entry of the round. Parameters: see StateMachine.close.
 
         `private` is persisted before the entry is sent. Peers that lack older entries also get these older entries,
         unless this robot is late.
@@ -290,7 +290,7 @@ class Replica:
                 found += state.logs[author].between(low, peer.wanted)
         return found
 
-    # Ticks.
+    # Work at each tick.
 
     def tick(self, tick: int) -> bool:
         """Begin tick `tick`; ticks are counted from the beginning of round 1.
@@ -423,7 +423,7 @@ class Replica:
         has_ours = message.held[self.pid] >= through  # the sender needs only entries of other robots
         helps = has_ours or is_helper(self.pid, sender, self.round, self._n)
         entries = self._lacked_entries(state, sender, helps)
-        if entries or has_ours:  # else this robot has yet to close its round
+        if entries or has_ours:  # if not, this robot will close its round and send the entry later
             self._send_round([sender], self.round, entries, received)
 
     def _fragment(self, fragment: Fragment) -> None:

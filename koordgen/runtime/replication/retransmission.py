@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-FEW = 5  # largest number of robots that one request asks for entries or reports; more missing ones are probably late
+FEW = 5  # largest number of missing entries or reports to request at once; if more are missing, they are probably late
 HELPERS = 5  # number of robots that may send other authors' entries to the same robot in one round
 LATE_FOR = 1  # rounds for which a robot remembers that it woke late
 QUIET = 4  # rounds between two requests of a late robot while no missing entry is known to be lost
@@ -23,7 +23,7 @@ class RetransmissionPolicy:
     """Retransmission policy of robot `pid` in a fleet of `n_sys` robots.
 
     The methods must be called with ascending rounds. A robot that is on time may send requests at every tick. A late
-    robot sends requests less often, above all while no entry is known to be lost."""
+    robot sends requests less often, and even less often while no entry is known to be lost."""
 
     pid: int
     n_sys: int
@@ -62,7 +62,7 @@ class RetransmissionPolicy:
 
         on_time: the robot woke when it was due.
         lost: some of the missing entries are known to have been sent.
-        If no entry was lost recently, all other robots may be late. In a large fleet, then only ASKERS robots may send
+        If no entry was lost recently, all other robots may be late. Then only ASKERS robots of a large fleet may send
         requests in a round, and the robots take turns."""
         if lost:
             self._lost = round_

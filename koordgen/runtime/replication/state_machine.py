@@ -19,7 +19,7 @@ AHEAD = 8  # largest number of rounds by which a peer's clock may be ahead of th
 DROP_EVERY = 4  # rounds between two drops of settled entries, because each drop visits all logs
 WINDOW = 256  # number of unsettled entries of one author at which the author runs no more events
 NO_INCARNATION = -2  # a number that is never an incarnation
-MOST_PAST = 16  # number of past stores at which unneeded past stores are dropped
+MOST_PAST = 16  # number of kept past stores from which on unneeded past stores are dropped
 
 
 class StateMachine:
@@ -83,7 +83,7 @@ class StateMachine:
         stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
         return Snapshot(self._schedule.first, self.applied, self._layout.pack(self.shared), stopped, tuple(self.acted))
 
-    # Queries.
+    # Queries about the state.
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -114,7 +114,7 @@ class StateMachine:
         log = self.logs[self._pid]
         return log.between(first, log.held)
 
-    # Entries.
+    # Entries of this robot and of other robots.
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
               awaits_commit: bool = False, lock: int = -1) -> Entry:  # fmt: skip
@@ -159,7 +159,7 @@ class StateMachine:
                 return None
             entry = part
         if author == self._pid:
-            return "entry of ours that we did not write"
+            return "entry of this robot from another robot"
         values = self._layout.read(entry)
         if values is None:
             return "entry does not fit"
@@ -185,7 +185,7 @@ class StateMachine:
                 for log in self.logs:
                     log.drop(through)
 
-    # Rounds.
+    # Application of rounds.
 
     def apply_rounds(self) -> bool:
         """Apply each next round whose entries are all held. Return whether a round was applied."""
@@ -255,7 +255,7 @@ class StateMachine:
         logs, applied = self.logs, self.applied
         self.lacking = len([p for p in self._schedule.members if logs[p].held <= applied])
 
-    # Views.
+    # Changes of the view.
 
     def adopt(self, view: View) -> None:
         """Switch to the next view.
@@ -271,7 +271,7 @@ class StateMachine:
         """Switch to the next view, and rewind the store to the beginning of that view.
 
         Used by a robot that has applied more rounds than the view keeps. Its events of the further rounds do not count.
-        Return False if the store of that beginning is no longer kept."""
+        Return False if the store to rewind to is no longer kept."""
         last = view.since - 1
         found = next(((shared, acted) for round_, shared, acted in reversed(self._past) if round_ <= last), None)
         if found is None or self.applied < last:

@@ -167,7 +167,7 @@ class Views:
         self._holds_all = holds_all
         self._adopted = adopted
         self._proposal: _Proposal | None = None
-        self._reason: int | None = None  # first tick at which a view change was needed; None: none is needed
+        self._reason: int | None = None  # first tick at which a view change was needed; None: no need
         self._no_joins_before = 0  # tick until which robots that join wait after a view change
         self.tick = 0
         self.view = view

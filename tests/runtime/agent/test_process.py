@@ -283,7 +283,7 @@ def test_settings_that_are_not_finite_are_refused(
 def test_a_key_others_may_read_is_refused(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     (bundles[0] / "fleet.key").chmod(0o644)
     assert run(bundles[0], "--check") == 1
-    assert "others may read it" in capsys.readouterr().err
+    assert "other users may read it" in capsys.readouterr().err
 
 
 def test_without_a_key_it_warns_loudly(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:

@@ -221,7 +221,7 @@ def test_that_there_is_no_source_is_told(source: Path, cache: Path) -> None:
         ("echo 'tiny.c:3: internal error' >&2; exit 4", "failed with status 4: tiny.c:3: internal error"),
         ("exit 0", "failed with status 0: no message"),
         ("kill -9 $$", "failed with status -9: no message"),
-        ("while true; do :; done", "was not done after 0 s"),
+        ("while true; do :; done", "did not finish within 0 s"),
     ],
 )
 def test_a_compiler_that_fails_is_told(

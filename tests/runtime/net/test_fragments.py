@@ -62,8 +62,8 @@ def test_what_cannot_be_cut_is_refused(length: int, room: int) -> None:
 def test_what_does_not_go_with_the_others_is_refused() -> None:
     name, *_ = cut(b"0123456789", 4)[0]
     gathering = Reassembly(name, 3)
-    assert gathering.add((bytes(8), 0, 3, b"0123")) == "fragment of something else"
-    assert gathering.add((name, 0, 4, b"0123")) == "fragment of something else"
+    assert gathering.add((bytes(8), 0, 3, b"0123")) == "fragment of another blob"
+    assert gathering.add((name, 0, 4, b"0123")) == "fragment of another blob"
     for index, data in ((3, b"0123"), (-1, b"0123"), (0, b""), (0, b"x" * (LIMIT + 1))):
         assert gathering.add((name, index, 3, data)) == "fragment does not fit"
     assert gathering.add((name, 2, 3, b"89")) is None

@@ -104,7 +104,7 @@ def test_only_the_last_snapshots_are_kept_and_a_robot_that_fetches_an_older_one_
     _, want = wanted(rejoin.poll(2, VIEW))
     newer = fragments(answer(snapshots, CLEO, want, snapshot(50)))
     assert {p.round for p in newer} == {50}
-    assert rejoin.step(newer[0], 2) == "fragment of something else"
+    assert rejoin.step(newer[0], 2) == "fragment of another blob"
     ticks = range(3, 4 + 2 * TIMEOUT)
     assert any(wanted(rejoin.poll(t, VIEW))[1].digest == b"" for t in ticks), (
         "after a while without a new fragment it begins anew"
