@@ -71,7 +71,7 @@ class CheckpointFile:
         self._warn = warn
         self._sequence = 0
         self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
-        self._next = [0] * len(_KINDS)  # next slot to write, by kind
+        self._next = [0] * len(_KINDS)  # for each kind of record, the next slot to write
         mission, locals_, acceptor = [_length(room) for room in identity.rooms]
         assert acceptor <= _PAGE
         self._lengths = [mission, locals_, _PAGE]

@@ -17,7 +17,7 @@ from typing import Protocol
 from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
-NAP = 20e-6  # seconds of sleep for each missing datagram
+NAP = 20e-6  # seconds of sleep for each datagram that is still missing
 
 
 class Inbox(Protocol):
@@ -43,7 +43,7 @@ class Inbox(Protocol):
         ...
 
     def close(self) -> None:
-        """Stop using the sockets; call it before they are closed."""
+        """Stop using the sockets. Call this method before the sockets are closed."""
         ...
 
 
@@ -94,7 +94,7 @@ class PythonInbox:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
-        if place == GROUP and self._shares:  # let other robots on this core send: all robots wait for the last one
+        if place == GROUP and self._shares:  # other robots on this core also have to send
             os.sched_yield()
         return 0
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 PER_OCTAVE = 8  # buckets per octave (a factor of 2 in duration); the error of a quantile is at most 9 %
-_SHORTEST = 1e-6  # seconds
+_SHORTEST = 1e-6  # seconds; shorter durations count as this duration
 BUCKETS = 32 * PER_OCTAVE  # number of buckets; they cover durations of up to 71 minutes
-MOST_UNCOUNTED = 64  # calls of Metrics.heard after which the arrivals are counted as one batch
+MOST_UNCOUNTED = 64  # number of calls of Metrics.heard after which their arrivals are counted as one batch
 RECENT = 512  # number of datagrams after which older datagrams count half in the loss rate
 
 
@@ -106,7 +106,7 @@ class Metrics:
         self._pid = pid
         self._peers = [_PeerFigures() for _ in range(n_sys)]
         self._late = Histogram()
-        self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # arguments of uncounted calls of `heard`
+        self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # (arrivals, time) of calls of `heard`
         self._round = 0
         self._rounds = self._current = self._events = 0
         self._skipped: dict[str, int] = {}

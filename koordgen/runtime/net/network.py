@@ -40,7 +40,7 @@ class Conditions:
         return found
 
 
-Queue = list[tuple[float, int, bytes]]  # a heap: time of arrival, number, datagram
+Queue = list[tuple[float, int, bytes]]  # heap of (time of arrival, number of the datagram, datagram)
 
 
 class MemoryNetwork:

@@ -63,7 +63,7 @@ class MessageSender:
         self.room = LIMIT - overhead(len(settings.peers))  # bytes in one datagram for entries or a fragment
         self._pid = settings.pid
         hashes = bytes.fromhex(program.interface_hash), bytes.fromhex(program.program_hash)
-        self._own = settings.application_id, *hashes, settings.pid, boot  # first fields of every head
+        self._own = settings.application_id, *hashes, settings.pid, boot  # fields at the beginning of every head
         self._release = bytes.fromhex(settings.release)
         self._key = key
         self._transport = transport

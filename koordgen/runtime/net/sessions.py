@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
+REPLAY_WINDOW = 1024  # largest number of sequence numbers by which a datagram may be late
 
 
 @dataclass(slots=True)

@@ -42,7 +42,7 @@ class UnicastTransport:
             if error := self._inbox.send(pid, datagram):
                 self._count("send", error)
         if self._shares and len(to) > 1:
-            os.sched_yield()  # let other robots on this core send: all robots wait for the last one
+            os.sched_yield()  # other robots on this core also have to send
 
     def close(self) -> None:
         self._inbox.close()

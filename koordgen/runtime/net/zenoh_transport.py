@@ -18,7 +18,7 @@ from koordgen.runtime.net.wire import LIMIT
 
 MOST_WAITING = 4096  # largest number of received datagrams that wait for `receive`; further datagrams are dropped
 QUEUE = 16  # largest number of datagrams to one peer that wait for the network
-NAP = 20e-6  # seconds of sleep for each missing datagram
+NAP = 20e-6  # seconds of sleep for each datagram that is still missing
 WAIT_BEFORE_DROP = 100  # microseconds that a send waits for room in a full queue before it drops the datagram
 
 

@@ -8,7 +8,7 @@ The protocol in ten minutes
 ===========================
 
 Rounds and entries. Time is divided into rounds of `delta` seconds on a clock that all robots share. In each round a
-robot runs at most one event, and then sends one *entry* to all others: what the event wrote, or that it wrote nothing.
+robot runs at most one event, and then sends one *entry* to all others: the values that the event wrote, if any.
 Each robot keeps one log of entries for each robot, itself included (`log`).
 
 Store. S_r is the shared store at the beginning of round r. A robot applies round r when it holds the entries of round r
@@ -22,9 +22,9 @@ entries of a round and find the same winner, the contender with the least (pid -
 other contenders do not count; their robots find that out when they apply the round.
 
 Progress and commit. Every message reports how far its sender has applied (`progress`). A round is *committed* once a
-majority of all N robots has reported it as applied. Every later view is made by a majority, two majorities share a
-robot. So no later view leaves out a committed round. Outputs (commands to actuators, lines to streams) wait until their
-round is committed: a robot never acts on an event that the fleet forgets (output commit). A round that every member
+majority of all N robots has reported it as applied. A majority decides every later view, and two majorities share
+a robot. So no later view leaves out a committed round. Outputs (commands to actuators, lines to streams) wait until
+their round is committed: a robot never acts on an event that the fleet forgets (output commit). A round that every member
 holds is *settled*, and its entries are dropped. For each robot:
 
     settled <= committed <= applied <= last own entry
@@ -69,8 +69,8 @@ later rounds can be committed. `schedule` says which view counts in which round 
 being applied.
 
 Rejoin. A robot that is no member, or has lost its store, asks to be admitted. The next view gives it a new incarnation.
-From then on it sends silent entries, so that nobody waits for it, and fetches a snapshot of the store, in fragments,
-from one member at a time (`rejoin`). So does a member that lacks entries which no robot has any more.
+From then on it sends silent entries, so that no other robot waits for it, and fetches a snapshot of the store, in
+fragments, from one member at a time (`rejoin`). A member also rejoins if it lacks entries that no other robot has.
 
 Persistence. Some facts must survive the process, or a restarted robot could contradict itself: its latest view, the
 last round that it reported as applied, its promise and its vote (`messages.HardState`), and its own variables after

@@ -68,7 +68,7 @@ class Replica:
     ) -> None:
         self.pid, self._n = pid, layout.n_sys
         self._layout = layout
-        self._peer_timeout = peer_timeout  # number of rounds
+        self._peer_timeout = peer_timeout  # rounds without entries after which a member is suspected
         self._others = tuple([p for p in range(self._n) if p != pid])
         self.peers = {p: Progress() for p in self._others}
         self._tick, self.round = 0, 1  # present tick and present round
@@ -97,7 +97,7 @@ class Replica:
         self._moved = 0, self.round  # the last applied round, and the round in which it was applied
         self._has_progress = True  # peers' reports, the applied round or the view have changed since the last `ready`
 
-    # State that other packages read.
+    # Properties that other packages read.
 
     @property
     def is_out(self) -> bool:
@@ -135,7 +135,7 @@ class Replica:
             if view.members[p] >= 0
         }
 
-    # Output for the driver.
+    # Methods that return work to the driver.
 
     def ready(self) -> Ready:
         """Return the work since the last call: data to persist, messages to send and new progress."""
@@ -188,7 +188,7 @@ class Replica:
     def _reject(self, reason: str) -> None:
         self._rejected.append(reason)
 
-    # Rounds of this robot.
+    # Methods for the rounds of this robot.
 
     def skip_rounds(self, through: int, stopped: bool) -> None:
         """Close the rounds up to `through`, during which the robot did not run, with a silent entry.
@@ -290,7 +290,7 @@ class Replica:
                 found += state.logs[author].between(low, peer.wanted)
         return found
 
-    # Work at each tick.
+    # Methods for the work at each tick.
 
     def tick(self, tick: int) -> bool:
         """Begin tick `tick`; ticks are counted from the beginning of round 1.
@@ -356,7 +356,7 @@ class Replica:
             state.settle(min([state.applied, *self._member_progress().values()]))
         return True
 
-    # Messages of other robots.
+    # Methods that handle messages of other robots.
 
     def step(self, message: ReplicaMessage) -> None:
         """Handle a message of another robot. The link has checked that it is authentic and of this mission."""
@@ -364,7 +364,7 @@ class Replica:
         peer = self.peers[sender]
         peer.heard = self._tick
         match message:
-            case RoundMessage():  # nearly all messages
+            case RoundMessage():  # most frequent, so it is tested first
                 self._round(sender, peer, message)
             case Nack():
                 self._need(sender, peer, message)
@@ -487,7 +487,7 @@ class Replica:
         if state is not None:
             self.published = state.logs[self.pid].held
 
-    # View changes.
+    # Methods for view changes.
 
     def _ballot(self, sender: int, message: Ballots) -> None:
         value = getattr(message, "value", None) or getattr(message, "accepted", None)

@@ -83,7 +83,7 @@ class StateMachine:
         stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
         return Snapshot(self._schedule.first, self.applied, self._layout.pack(self.shared), stopped, tuple(self.acted))
 
-    # Queries about the state.
+    # Methods that query the state.
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -114,7 +114,7 @@ class StateMachine:
         log = self.logs[self._pid]
         return log.between(first, log.held)
 
-    # Entries of this robot and of other robots.
+    # Methods that add entries to the logs.
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
               awaits_commit: bool = False, lock: int = -1) -> Entry:  # fmt: skip
@@ -185,7 +185,7 @@ class StateMachine:
                 for log in self.logs:
                     log.drop(through)
 
-    # Application of rounds.
+    # Methods that apply rounds.
 
     def apply_rounds(self) -> bool:
         """Apply each next round whose entries are all held. Return whether a round was applied."""
@@ -255,7 +255,7 @@ class StateMachine:
         logs, applied = self.logs, self.applied
         self.lacking = len([p for p in self._schedule.members if logs[p].held <= applied])
 
-    # Changes of the view.
+    # Methods that change the view.
 
     def adopt(self, view: View) -> None:
         """Switch to the next view.
@@ -270,7 +270,7 @@ class StateMachine:
     def rewind(self, view: View) -> bool:
         """Switch to the next view, and rewind the store to the beginning of that view.
 
-        Used by a robot that has applied more rounds than the view keeps. Its events of the further rounds do not count.
+        A robot must rewind if it has applied rounds that the new view discards. Its events in them do not count.
         Return False if the store to rewind to is no longer kept."""
         last = view.since - 1
         found = next(((shared, acted) for round_, shared, acted in reversed(self._past) if round_ <= last), None)

@@ -233,7 +233,7 @@ class Views:
         self._adopted(before)
         return True
 
-    # Messages to this robot as an acceptor.
+    # Methods that handle messages to this robot as an acceptor.
 
     def _prepare(self, sender: int, message: Prepare) -> list[Send]:
         if message.view.number < self.view.number:
@@ -261,7 +261,7 @@ class Views:
         """Return the report with this robot's vote added. The robot has already promised for the next view."""
         return report._replace(voted=self.vote.voted, accepted=self.vote.value)
 
-    # Proposals of this robot.
+    # Methods for the proposals of this robot.
 
     def _begin(self, report: Report, expected: Collection[int]) -> _Proposal:
         number = self.view.number + 1
