@@ -24,8 +24,8 @@ other contenders do not count; their robots find that out when they apply the ro
 Progress and commit. Every message reports how far its sender has applied (`progress`). A round is *committed* once a
 majority of all N robots has reported it as applied. A majority decides every later view, and two majorities share
 a robot. So no later view leaves out a committed round. Outputs (commands to actuators, lines to streams) wait until
-their round is committed: a robot never acts on an event that the fleet forgets (output commit). A round that every member
-holds is *settled*, and its entries are dropped. For each robot:
+their round is committed: a robot never acts on an event that the fleet forgets (output commit). A round that every
+member holds is *settled*, and its entries are dropped. For each robot:
 
     settled <= committed <= applied <= last own entry
 
