@@ -201,7 +201,7 @@ class Layout:
 
 
 def _fits(variable: Variable) -> Callable[[Any], bool]:
-    """Return a function that tells whether this program can write a given value to the variable."""
+    """Return a predicate: whether this program can write a given value to the variable."""
     bound = variable.bound
 
     def fits(value: Any) -> bool:

@@ -147,7 +147,7 @@ class Link:
         return admitted
 
     def pop_hellos(self) -> list[Hello]:
-        """Return the Hello messages received since the last call, also those of boots that are not adopted."""
+        """Return the Hello messages received since the last call, also of processes that are not adopted."""
         hellos, self._hellos = self._hellos, []
         return hellos
 
