@@ -182,7 +182,7 @@ def test_a_key_that_others_may_read_stops_all_the_same(
         start(folder, started)
     wait_for(bundles, "joining")
     assert main(["estop", str(fleet)]) == 0
-    assert "warning: " in (told := capsys.readouterr().err) and "others may read it" in told
+    assert "warning: " in (told := capsys.readouterr().err) and "other users may read it" in told
 
 
 @pytest.mark.parametrize(

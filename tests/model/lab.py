@@ -83,9 +83,9 @@ class Wire:
         self._flights = flights
         self.head = Head(0, TOKEN, TOKEN, pid, TOKEN, TOKEN, 0, 0, None, ())
         self.rejected: list[str] = []
-        self.speech = self
+        self.sender = self
 
-    def say(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
+    def send(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
         self._flights.extend(Flight(p, kind(self.head, *fields)) for p in to)
 
     def round(self, to: Collection[int], fields: Sequence[Any], received: object = None) -> None:

@@ -336,7 +336,7 @@ def test_a_variable_may_not_begin_with_infinity() -> None:
 def test_an_init_that_writes_more_than_can_be_sent_ends_the_robot_with_a_reason() -> None:
     """A bundle that was built without a fleet file knows the robots, and so the room, only now."""
     fleet = Fleet(n=2).boot_all()
-    fleet.robots[0].agent._link.speech.room = 20
+    fleet.robots[0].agent._link.sender.room = 20
     fleet.run(3.0, until=fleet.robots[0].done)
     alice = fleet.robots[0]
     assert alice.agent.status == WRONG_PROGRAM and alice.platform.resting is not None

@@ -232,7 +232,7 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
         for arguments in ([], ["--check"]):
             assert run(bundles[1], *arguments) == 5
             said = capsys.readouterr().err
-            assert re.search(rf"error: .*127\.0\.0\.1:{port}, where robot bert listens, is in use", said)
+            assert re.search(rf"error: .*127\.0\.0\.1:{port}, the address of robot bert: the address is in use", said)
 
 
 def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
@@ -283,7 +283,7 @@ def test_settings_that_are_not_finite_are_refused(
 def test_a_key_others_may_read_is_refused(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     (bundles[0] / "fleet.key").chmod(0o644)
     assert run(bundles[0], "--check") == 1
-    assert "others may read it" in capsys.readouterr().err
+    assert "other users may read it" in capsys.readouterr().err
 
 
 def test_without_a_key_it_warns_loudly(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:

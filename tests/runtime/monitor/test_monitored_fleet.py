@@ -139,5 +139,5 @@ def test_a_program_without_properties_has_no_moments() -> None:
     fleet = Fleet(n=2).boot_all()
     fleet.run_rounds(3)
     assert all(
-        robot.agent._rounds is not None and robot.agent._rounds.moment is None for robot in fleet.robots.values()
+        robot.agent._rounds is not None and robot.agent._rounds.observation is None for robot in fleet.robots.values()
     )

@@ -136,8 +136,8 @@ class _Link(Wire):
         self.room = room
         self._kept = kept
 
-    def say(self, to: Collection[int], kind: Callable[..., Any], *fields: Any) -> None:
-        super().say(to, kind, *fields)
+    def send(self, to: Collection[int], kind: Callable[..., Any], *fields: Any) -> None:
+        super().send(to, kind, *fields)
         self._check(len(to))
 
     def round(self, to: Collection[int], fields: Sequence[Any], received: object = None) -> None:
