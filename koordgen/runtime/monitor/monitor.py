@@ -168,7 +168,7 @@ class Monitors:
         age = moment.round - watched.true
         if age > self._patience and watched.outcome not in (None, "unknown"):
             watched.due = True
-            self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time, stale=True)
+            self._become(watched, "unknown", f"the values it reads are {age} rounds old", moment.time, stale=True)
 
     def _put(self, moment: Observation) -> set[str]:
         """Update the known values. Return the names of the changed values; a new object counts as a change."""

@@ -20,6 +20,7 @@ from koordgen.runtime.values.turns import begin
 T = TypeVar("T")
 Outcome = Literal["held", "violated", "no value", "unknown"]
 LONGEST = 300  # largest number of characters in the reason for a verdict; longer reasons are cut
+
 # Sensors whose true values a simulator knows, with their types. Only the robot knows the values of other sensors.
 MEASURED = {"position": Point, "velocity": Point, "pose": Pose}
 
@@ -180,7 +181,7 @@ class Known:
         if self.pid < 0 or self.n_sys == 1:
             return self.every(name, range(self.n_sys), body)
         if self.every(name, (self.pid,), body):
-            raise Unknown(f"{name}: what the other robots know")
+            raise Unknown(f"{name}: values of the other robots")
         return False
 
     def some(self, name: str, domain: Iterable[T], body: Callable[[T], bool], robots: bool = True) -> bool:

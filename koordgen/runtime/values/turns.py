@@ -1,10 +1,10 @@
 """Limits of one event: its turns, and the sizes of the numbers, texts and collections that it makes.
 
 An event, a guard or a formula may use MOST_TURNS turns. One pass of a loop and one call of a function each cost one
-turn. To make a list, set, map, queue or text costs one turn for each full ELEMENTS_A_TURN elements, and to iterate over
-one costs the same. An event beyond a limit raises TooMuch and is discarded. koordgen/lang/semantics counts turns by the
-same rules, and tests/agree compares both counts at the limits. Generated code contains no call of this module where a
-static bound shows that the cost is 0 (koordgen/build/emit/size.py).
+turn. The creation of a list, set, map, queue or text costs one turn for each full ELEMENTS_A_TURN elements, and so does
+iteration over such a value. An event beyond a limit raises TooMuch and is discarded. koordgen/lang/semantics counts
+turns by the same rules, and tests/agree compares both counts at the limits. Generated code contains no call of this
+module where a static bound shows that the cost is 0 (koordgen/build/emit/size.py).
 
 The count is one iterator for the whole process, because one event runs at a time. An iterator counts in C, so it is
 fast."""
