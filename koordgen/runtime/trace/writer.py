@@ -1,10 +1,10 @@
-"""Writer of a robot's trace: JSON lines as in `schema`, one per round, for simulators and replay.
+"""Writer of a robot's trace: lines of JSON as `schema` defines them, for simulators and `replay`.
 
-A trace alone has all inputs and results of events: `replay` uses nothing else. A full or missing disk ends the trace
-with one warning, never the robot.
+A trace contains all inputs and results of events, so `replay` needs no other file. A full or missing disk ends the
+trace with one warning. The robot goes on.
 
-A trace with a limit is written in parts (see `parts`). A part begins with everything that a reader needs without the
-older parts, which may have been deleted: header, phases, view and checkpoint."""
+A trace with a size limit is written in parts (see `parts`). Older parts may be deleted, so each part begins with all
+that a reader needs: header, phases, view and checkpoint."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.parts import Parts
 from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
 
-if TYPE_CHECKING:  # imports this module itself
+if TYPE_CHECKING:  # a real import would be a cycle: `monitored` imports this module
     from koordgen.runtime.trace.monitored import Change
 
 STARTING = "starting"  # first phase of every trace
 
 
 class Record(msgspec.Struct, frozen=True):
-    """Record of a round, for the trace and for monitors. Times in seconds of the local clock."""
+    """Record of one round for the trace and for monitors. Times are seconds of the robot's local clock."""
 
     round: int
     time: float
-    late: float  # seconds from the tick to the decision
+    late: float  # seconds from the start of the round until the robot chose its event
     sensors: Mapping[str, Any]
     frame: Frame | None  # input of the event; None if the round was skipped
     event: str | None = None
@@ -45,7 +45,9 @@ Observe = Callable[[Record], None]
 
 
 class Trace:
-    """Writer to `file`, each round at once; without a file it does nothing. `warn` reports an early end."""
+    """Writer of a robot's trace. Each record is written to `file` immediately; without a file nothing is written.
+
+    `warn` is called with a message if the trace ends because of an error."""
 
     def __init__(self, file: IO[bytes] | Parts | None, warn: Callable[[str], None]) -> None:
         self._file = file
@@ -54,23 +56,23 @@ class Trace:
         self._pid = -1
         self._application = ""
         self._slots: Collection[str] = ()
-        self._told: dict[str, Any] = {}  # shared store as recorded in this part
-        # For the beginning of the next part:
+        self._told: dict[str, Any] = {}  # shared variables as the records of this part give them
+        # The fields below are written at the beginning of the next part.
         self._header: schema.RobotHeader | None = None
         self._part = 0
         self._phase = ""
-        self._phases: dict[str, schema.Phase] = {}  # first record of each phase but the first
+        self._phases: dict[str, schema.Phase] = {}  # first record of each phase except STARTING
         self._view: schema.View | None = None
         self._life: Life | None = None  # private variables after the last recorded round; None: unknown
-        self._last = -1  # that round; 0: `init`
+        self._last = -1  # number of the last recorded round; 0: `init`; -1: none
 
     @property
     def open(self) -> bool:
-        """True if records are written."""
+        """True until the trace is closed or ended by an error."""
         return self._file is not None
 
     def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
-        """Write the header, before all other records."""
+        """Write the header of the trace. Call this before all other methods that write records."""
         self._slots = [v.name for v in program.shared if v.kind == "allread"]
         self._pid, self._application = pid, program.name
         self._header = schema.RobotHeader(
@@ -87,7 +89,7 @@ class Trace:
                 self._phases[phase] = record
 
     def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
-        """Write a record of `init`: its input and writes, and all private variables `after` it."""
+        """Write a record of `init`: its sensor values, its writes, and all private variables `after` it."""
         self._turn_if_full(time)
         self._told, self._life, self._last = {}, after, 0
         self._write(
@@ -107,7 +109,7 @@ class Trace:
         )
 
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
-        """Write the view from round `since` on: each robot's incarnation, -1 for a non-member."""
+        """Write the view that begins at round `since`. `members`: each robot's incarnation, -1 for a non-member."""
         record = schema.View(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
         self._tell(record, time)
         self._view = record
@@ -116,19 +118,21 @@ class Trace:
         self._tell(schema.Log(level, message, time, LEFT_OUT, LEFT_OUT), time)
 
     def stall(self, time: float, state: Literal["begins", "goes on", "ends"], why: str, lasted: float) -> None:
-        """Write that a stall begins, goes on or ends (see `stall`); `lasted` is its length in seconds so far."""
+        """Write that a stall of the vehicle begins, goes on or ends. `lasted`: seconds since the stall began."""
         self._tell(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
 
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
-        """Write a line of the program's output; round 0 is `init`. It is in the same part as its round."""
+        """Write a line of the program's output in a round; round 0 is `init`.
+
+        Line and round are in the same part of the trace."""
         self._write(schema.Stream(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
-        """Write the quality of the robot's links and rounds (see `metrics`)."""
+        """Write a snapshot of the quality of the robot's links and rounds."""
         self._tell(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
     def monitor(self, change: Change) -> None:
-        """Write a change of a property's verdict."""
+        """Write a change of a monitored property's verdict."""
         record = schema.Monitor(
             change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
             change.time, LEFT_OUT, LEFT_OUT, self._application,
@@ -136,15 +140,17 @@ class Trace:
         self._tell(record, change.time)
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
-        """Write one round; `clock_bound` is the largest error of fleet time (s), `counters` the changed ones.
+        """Write one round of the robot.
 
-        Locals are those that the event wrote. `copy` has the changes of this robot's copy of the shared store since the
-        last record; an allread variable by pid."""
+        `clock_bound`: largest error of the robot's fleet time in seconds. `counters`: the counters that changed.
+        `locals` of the record contains the local variables that the event wrote. `copy` of the record contains the
+        changes of the robot's copy of the shared variables since the last record; for an allread variable pid -> value.
+        """
         self._turn_if_full(record.time)
         fault, effects, restored = record.fault, record.effects, record.restored
         shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
         violated, stopped = (effects.violated, effects.stopped) if effects else ((), False)
-        # By position, in the order of the schema: keywords cost five times as much.
+        # Arguments are passed by position, in the order of the schema: keyword arguments take five times as long.
         line = schema.Round(
             record.round, record.event, record.skipped,
             schema.EventFault(fault.file, fault.line, fault.reason) if fault else None,
@@ -159,7 +165,7 @@ class Trace:
         self._live(record)
 
     def _live(self, record: Record) -> None:
-        """Update the private variables by a recorded round."""
+        """Update this robot's private variables with the effects of a recorded round."""
         self._last, effects = record.round, record.effects
         life = self._life = record.restored or self._life
         if life is not None and effects is not None:
@@ -167,7 +173,9 @@ class Trace:
             self._life = Life(record.round, effects.locals, actuators, stopped)
 
     def _turn_if_full(self, time: float) -> None:
-        """Begin another part if the current one is full; never between a round and its streams."""
+        """Begin a new part of the trace if the current part is full.
+
+        This is never called between the record of a round and the streams of that round."""
         parts = self._file
         if not isinstance(parts, Parts) or not parts.full:
             return
@@ -189,10 +197,10 @@ class Trace:
         parts.began()
 
     def _changed(self, record: Record) -> dict[str, Any]:
-        """Return the changes of the shared store since the last record, by object identity.
+        """Return the shared variables that changed since the last record; a new object counts as a change.
 
-        A robot's own slots are recorded with its events. An allwrite variable may have been written by another
-        robot."""
+        The robot's own slots are left out, because they are recorded with its events. Allwrite variables are included,
+        because another robot may have written them."""
         found: dict[str, Any] = {}
         frame, told = record.frame, self._told
         if frame is None:
@@ -219,7 +227,7 @@ class Trace:
             self._file = None
 
     def _tell(self, record: msgspec.Struct, time: float) -> None:
-        """Write a record that may also go into the next part."""
+        """Write a record for which a new part of the trace may be begun."""
         self._turn_if_full(time)
         self._write(record)
 
@@ -242,7 +250,7 @@ def _restored(life: Life) -> schema.Restored:
 
 
 def _written(record: Record) -> dict[str, Any]:
-    """Return the locals that the event wrote."""
+    """Return the local variables that the event of a round wrote."""
     effects, frame = record.effects, record.frame
     if effects is None or frame is None:
         return {}
