@@ -90,9 +90,7 @@ class Functions:
             return found
         # SOUND (over-approximation): for a loop encoded by a cut, only the facts at its head are known. So the
         # function's result is an arbitrary value that these facts allow. Equal arguments give equal results.
-        self.context.note(
-            f"{function.name}: the values that its loops write are known only by invariants and facts about iterations"
-        )
+        self.context.note(f"{function.name}: the values that its loops write are known only by invariants and facts")
         result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
         if found is not None and not self.brief:
             self.context.fact_if_reached(

@@ -367,7 +367,7 @@ class SymbolicFrame:
         context, index = self.context, None
         if self.now is not None:
             line = loop.span.line
-            context.note(f"line {line}: only invariants and facts about iterations are known of the written variables")
+            context.note(f"line {line}: the values that the loop writes are known only by invariants and facts")
         if over is not None:
             self.count(loop, over.start)
         kept = tuple(loop_carried(loop))
