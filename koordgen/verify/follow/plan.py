@@ -1,9 +1,9 @@
 """Plan of a counterexample for agents: the event that each robot runs in each of the agents' rounds.
 
-In a round of the semantics, atomic events run one after another, each on the store that the previous event left. Agents
-let only one robot commit per lock in a round, and all events read the store of the round's start. So one round of the
-trace is split into the fewest agents' rounds that, by the agents' rules, lead to the state in the trace. Sensors keep
-their values between these rounds.
+In a round of the semantics, atomic events run one after another. Each atomic event reads the store that the previous
+event left. In a round of agents, only one robot commits per lock, and all events read the store of the round's start.
+So one round of the trace is split into agents' rounds. The plan uses the fewest rounds that lead to the state in the
+trace. Sensors keep their values between these rounds.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from koordgen.verify.follow.exact import agree, fraction, nearest
 from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, CounterexampleTrace, RobotRecord, TraceStep
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-# Largest number of events in a round for which every split is tried. For more events, only the usual splits are tried.
+# Largest number of events in a round for which every split is tried. With more events, only the usual splits are tried.
 MOST = 5
-# Number of agents' rounds at the end of a deadlock's plan, in which every robot may choose its events itself.
+# Number of agents' rounds at the end of a deadlock's plan in which every robot may choose its events itself.
 LATEST = 3
 
 SHORT = "a proof uses exact numbers: choose params (--param) or values in the program that are short decimals"
@@ -35,7 +35,7 @@ Events = Mapping[int, str]  # pid -> event
 
 
 class CannotExecute(Exception):
-    """Raised if the trace does not belong to this program, or robots cannot execute it.
+    """Raised if the trace does not belong to the program, or robots cannot execute the trace.
 
     The message gives the reason, `help` a remedy."""
 
@@ -45,17 +45,17 @@ class CannotExecute(Exception):
 
 
 class ModelOnly(CannotExecute):
-    """Raised if the language allows the trace, or may allow it, but agents never behave in this manner."""
+    """Raised if the language allows the trace, or may allow it, but agents never act as in the trace."""
 
 
 class AgentRound(NamedTuple):
-    """One round of agents.
+    """Round of the agents.
 
-    `of`: the round of the trace to which this round belongs.
-    `line`: the line of the trace at which this round begins.
+    `of`: the round of the trace to which the agents' round belongs.
+    `line`: the line of the trace at which the agents' round begins.
     `events`: the event that each robot must run.
     `free`: whether robots choose their events themselves.
-    `state`: the state at the start of the round.
+    `state`: the state at the start of the agents' round.
     `calls`: pid -> the recorded calls of callable ports."""
 
     of: int
@@ -67,10 +67,10 @@ class AgentRound(NamedTuple):
 
 
 class ExecutionPlan(NamedTuple):
-    """Plan of a run.
+    """Plan of a run that executes a counterexample.
 
-    `rounds`: the agents' rounds. The last round has no events; its start shows the state after the round before it.
-    `found`: the number of the agents' round after whose events the trace's violation must occur; 0 for `init`.
+    `rounds`: the agents' rounds. The last round has no events. Its start shows the state after the round before.
+    `found`: the number of the agents' round whose events must cause the trace's violation; 0 for `init`.
     `environment`: whether the violation must occur after the environment's step that follows these events."""
 
     given: CounterexampleTrace
@@ -113,7 +113,7 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
 def make_plan(
     program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
 ) -> ExecutionPlan:
-    """Return the plan of a counterexample. Raises CannotExecute."""
+    """Return the plan for a counterexample. Raises CannotExecute."""
     return _Planner(program, given, externs).plan()
 
 
@@ -160,11 +160,11 @@ class _Planner:
         return ExecutionPlan(self.given, tuple(self.rounds), calls, number, environment)
 
     def round(self, of: int, group: list[TraceStep], state: State) -> State:
-        """Plan one round of the trace. Return the state after it."""
+        """Plan one round of the trace. Return the state after the round."""
         acts = [step for step in group if step.event != ENVIRONMENT]
         moved = [step for step in group if step.event == ENVIRONMENT]
         if len(moved) > 1 or (moved and group[-1] is not moved[0]):
-            raise self.broken(moved[0], "the environment's step is not the last one of its round")
+            raise self.broken(moved[0], "the environment's step is not the last step of its round")
         if unknown := next((step for step in acts if step.event not in self.events), None):
             raise self.broken(unknown, f"the program has no event {unknown.event}")
         if len({step.pid for step in acts}) < len(acts):
@@ -185,8 +185,8 @@ class _Planner:
     def split(self, acts: list[TraceStep], state: State, world: World) -> list[tuple[list[TraceStep], State]]:
         """Return the fewest agents' rounds that lead to the state in the trace.
 
-        For each of them, return its steps and the state after it. Raises CannotExecute if no agents' rounds lead to
-        that state."""
+        Each agents' round is returned as its steps and the state after the round. Raises CannotExecute if no agents'
+        rounds lead to the state in the trace."""
         off = ""
         for blocks in self.splits(acts):
             at, found = state, []
@@ -241,8 +241,9 @@ class _Planner:
     def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
         """Yield possible distributions of a round's events over agents' rounds, few rounds first.
 
-        The first one has all events in one round. The next ones have each atomic event in a round of its own, in the
-        trace's order, and all plain events together in one round. For at most MOST events, all partitions follow."""
+        The first distribution has all events in one round. The next distributions have one round for each atomic event,
+        in the trace's order, and one round for all plain events, which may share it with an atomic event. For at most
+        MOST events, all partitions follow."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
         atomic = [step for step in acts if step not in plain_ones]
         yield [acts]
@@ -259,8 +260,9 @@ class _Planner:
     def done(self, block: list[TraceStep], state: State, world: World, begun: State | None = None) -> list[Done] | None:
         """Return the steps of one agents' round, all of which read the store of the round's start.
 
-        Returns None if a step is impossible, or if two steps need the same lock. `begun`: the state at the start of the
-        trace's round, which decides the events with priority; None if it is `state`."""
+        Returns None if a step is impossible, or if two steps need the same lock.
+        `begun`: the state at the start of the trace's round, in which the guards of events with priority are evaluated;
+            None if this state equals `state`."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -338,7 +340,7 @@ class _Planner:
                 self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """Return the sensors of a robot that commands clear, but that no command has cleared yet.
+        """Return the clearable sensors of a robot that no command has cleared yet.
 
         On robots these sensors are true, even if a counterexample to induction contains another value."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
@@ -393,7 +395,7 @@ def _calls(steps: list[TraceStep]) -> dict[int, tuple[Any, ...]]:
 
 
 def _partitions(acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
-    """Yield every partition of a round's events into a sequence of rounds."""
+    """Yield every partition of a round's events into a sequence of agents' rounds."""
     if not acts:
         yield []
         return

@@ -1,4 +1,4 @@
-"""Parser of a counterexample's trace: reads it as steps of a fleet.
+"""Parser of a counterexample's trace, which reads the trace as steps of a fleet.
 
 koordgen/verify/prove/report/trace.py writes such traces.
 """
@@ -14,7 +14,7 @@ from koordgen.verify.replay.trace import TraceParts, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # the same limit as in koordgen/runtime/net/wire.py; a test compares both
+MOST_ROBOTS = 128  # same limit as in koordgen/runtime/net/wire.py; a test compares both limits
 
 Values = Mapping[str, Any]  # name -> value in JSON
 
@@ -33,11 +33,11 @@ class RobotRecord(NamedTuple):
 
 
 class TraceStep(NamedTuple):
-    """One step of the fleet.
+    """Step of the fleet.
 
     `line`: the line of the step's first record.
     `event`: BEGINNING, INIT, ENVIRONMENT, or the name of an event.
-    `pid`: the robot that runs the event; -1 for the other steps."""
+    `pid`: the robot that runs the event; -1 for steps that are no event."""
 
     line: int
     round: int
@@ -47,10 +47,11 @@ class TraceStep(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """Violation after the last step.
+    """Violation after the last step of a counterexample.
 
     `name`: the violated property.
-    `pid`, `event`: the event that would come next but has no result, if this is the violation; otherwise -1 and ""."""
+    `pid`, `event`: the robot and its next event, if the violation is that this event has no result; otherwise -1 and
+    ""."""
 
     name: str
     line: str
@@ -64,9 +65,9 @@ class CounterexampleTrace(NamedTuple):
 
     `initial`: whether the trace begins in an initial state.
     `params`: values of all params, in JSON.
-    `given`: the names of the params that differ from the program's values.
+    `given`: the names of the params whose values differ from the program's values.
     `ending`: the violation; None if the trace is cut off or contains no violation.
-    `cut`: the line from which on the trace cannot be read; 0 if all of it can be read."""
+    `cut`: the first line that cannot be read; 0 if all lines can be read."""
 
     path: Path
     app: str
@@ -81,14 +82,14 @@ class CounterexampleTrace(NamedTuple):
 
 
 def read(path: Path) -> CounterexampleTrace:
-    """Read a trace, as far as it can be read. Raises BadTrace."""
+    """Read a trace, as far as its lines are complete. Raises BadTrace."""
     blank = TraceParts(path, "", "", (), False, 0)
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
     if not format_of(line):
         raise BadTrace(f"{path}: {NO_HEADER}")
     if header.get("counterexample") not in ("run", "step"):
-        raise BadTrace(f"{path}: not the trace of a counterexample, as `koordgen explore --trace` writes it")
+        raise BadTrace(f"{path}: not the trace of a counterexample, which `koordgen explore --trace` writes")
     try:
         app, program_hash = str(header["app"]), str(header["program_hash"])
         n_sys, params, given = len(header["robots"]), _table(header["params"]), tuple(header["given"])

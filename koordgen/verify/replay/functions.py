@@ -18,7 +18,7 @@ from koordgen.lang.semantics.values import RecordValue, Value
 
 
 class CannotCall(Exception):
-    """Raised if the file of the extern functions cannot be used; the message gives the reason."""
+    """Raised if the file with the extern functions cannot be used. The message gives the reason."""
 
 
 def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[..., Value]]:
@@ -31,14 +31,15 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
         )
     load(program, file)
     names = Names(program)
-    module = sys.modules["replayed"] = ModuleType("replayed")  # Python resolves the annotations of record classes here
+    # Python resolves the annotations of record classes in this module.
+    module = sys.modules["replayed"] = ModuleType("replayed")
     vars(module)["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), vars(module))
     return {f.name: _called(f, vars(module), names) for f in program.externs}
 
 
 def load(program: decl.Program, file: Path) -> None:
-    """Import the user's file as the module name that generated code imports. Raises CannotCall."""
+    """Import the user's file under the module name that generated code imports. Raises CannotCall."""
     name = functions_module(program)
     # The explicit loader accepts a file with any suffix.
     spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))
@@ -69,9 +70,9 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
 
 def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
-    """Convert a value of the semantics to the robots' form.
+    """Convert a value of the semantics to the form that robots use.
 
-    In the robots' form, records are objects of the program's classes."""
+    Robots represent records as objects of the program's classes."""
     match type_:
         case RecordType(name, fields):
             parts = zip(value.fields, fields, strict=True)

@@ -1,4 +1,4 @@
-"""Replay of one robot's rounds: runs them on the recorded inputs, and compares the recorded outputs."""
+"""Replay of one robot's rounds: runs them on recorded inputs, and compares recorded outputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from koordgen.verify.replay.store import had_frame
 from koordgen.verify.replay.trace import TraceLine
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-# Reason of a discarded event that depends on the robot's clock alone, so that no replay can check it.
+# Reason of a discarded event that depends only on the robot's clock. No replay can check such a reason.
 OVERRAN = "not finished by the round's publish deadline"
 
 
@@ -39,7 +39,7 @@ class Difference(NamedTuple):
 
 
 class Unreplayable(Exception):
-    """Raised if a trace cannot be replayed. `number` is the line, `why` the reason."""
+    """Raised if a trace cannot be replayed. `number` is the trace's line, `why` the reason."""
 
     def __init__(self, number: int, why: str) -> None:
         super().__init__(f"line {number}: {why}")
@@ -50,7 +50,7 @@ class Unreplayable(Exception):
 class Counts:
     rounds: int = 0
     events: int = 0
-    violated: int = 0  # number of events and `init`s in which, by the semantics, a loop invariant was false
+    violated: int = 0  # number of events and `init`s in which the semantics finds a false loop invariant
     late: int = 0  # number of events that exceeded their time budget, which no replay can check
 
 
@@ -59,8 +59,8 @@ class Replay:
     """Replay of one robot.
 
     `externs`: the extern functions, as in `World`.
-    `followed`: "run" or "step" if the run executed a counterexample; otherwise empty. In such a run a robot may run any
-        enabled event, or none. For "step", the record of `init` contains the first state of the counterexample."""
+    `followed`: "run" or "step" if the traced run executed a counterexample; otherwise empty. In such a run, a robot may
+        run any enabled event or no event. For "step", the record of `init` contains the counterexample's first state."""
 
     program: decl.Program
     externs: Mapping[str, Any]
@@ -75,15 +75,16 @@ class Replay:
         self._slots = {v.name for v in self.program.shared if v.kind == "allread"}
         self._own: dict[str, Value] = dict(self._first.robots[self.pid].locals)
         self._actuators: dict[str, Value] = {}
-        self._store: dict[str, Any] = {}  # the robot's copy of the store; an allread variable is a dictionary by pid
+        self._store: dict[str, Any] = {}  # the robot's copy of the store; an allread variable maps pid -> value
         self._streams: list[tuple[str, str]] = []
         self._round = 0
         self._begun = False  # whether the values of the robot's own variables are known
-        # Copy of the shared store that the robot saw, by its last record; allread variables by pid.
+        # Copy of the shared store that the robot read according to its last record. An allread variable maps pid ->
+        # value.
         self.saw: Mapping[str, Any] | None = None
 
     def line(self, line: TraceLine) -> Iterator[Difference]:
-        """Replay one record, and yield the differences in it. Raises Unreplayable."""
+        """Replay one record, and yield the differences in the record. Raises Unreplayable."""
         self.saw = None
         record = line.record
         try:
@@ -105,19 +106,19 @@ class Replay:
     def end(self, number: int) -> Iterator[Difference]:
         """Yield the differences at the end of the last round.
 
-        These are outputs of streams that the trace does not contain."""
+        The differences are stream outputs of the program that the trace does not contain."""
         for port, text in self._streams:
             yield Difference(number, self._round, self.pid, port, None, text)
         self._streams = []
 
     def skip(self) -> None:
-        """Prepare for a gap in the records: the robot's own variables in the next record are not compared."""
+        """Prepare for a gap in the records. The robot's own variables are not compared in the next record."""
         self._begun, self._streams = False, []
 
     def _checkpoint(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         """Continue with the next part of a trace, which begins with the values of the robot's own variables.
 
-        If the previous part was replayed to its end, these values must equal the last values in it."""
+        If the previous part was replayed to its end, these values must equal the last values in the previous part."""
         self._store = {}
         if self._begun and record["round"] != self._round:
             self.skip()
@@ -130,7 +131,7 @@ class Replay:
             for name in {**known, **told}:
                 meant = plain(known[name]) if name in known else None
                 if name in known and told.get(name) == meant:
-                    continue  # keep the computed value: null in the trace stands for any number that is not finite
+                    continue  # keep the computed value: null in a trace denotes any number that is not finite
                 if self._begun:
                     yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
                 known.update(self._values({name: told[name]} if name in told else {}))
@@ -196,9 +197,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
-        """Return the event that the robot must have chosen; None for no event.
+        """Return the event that the robot must have chosen; None if the robot must choose no event.
 
-        If the guard of that event has no value, return the discarded step."""
+        If the guard of the event has no value, return the discarded step."""
         world, name = self._world(record), record.get("event")
         if not self.followed:
             return select(self.program, state, self.pid, world)
@@ -215,19 +216,19 @@ class Replay:
                 line.number, self._round, self.pid, f"event {record['event']}", "it counted", f"discarded: {done}"
             )
             return
-        # The record omits a local variable that was written with the value that it already had.
+        # The record omits a local variable if the event wrote the variable's old value again.
         told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
         meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
         yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
         yield from self._loops(line, record, done)
         self._streams = list(done.streams)
-        # keep the computed value: null in the trace stands for any number that is not finite
+        # Keep the computed value, because null in a trace denotes any number that is not finite.
         for name, value in done.locals.items():
             if plain(value) == told[name]:
                 self._own[name] = value
 
     def _loops(self, line: TraceLine, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
-        """Compare the lines of the loop invariants that were false in the event."""
+        """Compare the recorded lines of false loop invariants with the semantics."""
         told, meant = record.get("violated", []), [span.line for span in done.violated]
         self.counts.violated += bool(meant)
         if told != meant:
@@ -239,7 +240,8 @@ class Replay:
     ) -> Iterator[Difference]:  # fmt: skip
         """Check that a discarded event has no value by the semantics.
 
-        An event that was discarded because it was late is not checked: only the robot's clock decides this."""
+        An event that was discarded because it was late is not checked, because only the robot's clock decides
+        lateness."""
         if fault.get("reason") == OVERRAN:
             self.counts.late += 1
             return
@@ -280,9 +282,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _state(self, line: TraceLine, record: dict[str, Any]) -> State:
-        """Return the state that this robot read in the round.
+        """Return the state that the robot read in the round.
 
-        The own variables of other robots are unknown, but no event reads them."""
+        The other robots' own variables are unknown, but no event reads these variables."""
         for shared in self.program.shared:
             known = self._store.get(shared.name)
             if known is None or (shared.kind == "allread" and len(known) < self.n_sys):
@@ -294,7 +296,7 @@ class Replay:
         return State(self._first.params, robots, Store(slots, cells), self._round)
 
     def _world(self, record: dict[str, Any]) -> World:
-        """Return a world in which callable ports give the recorded answers, in their order; other calls fail."""
+        """Return a world in which callable ports give the recorded answers. Calls without a record fail."""
         calls = [(port, args, answer) for port, args, answer in record.get("calls", [])]
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
@@ -302,8 +304,8 @@ class Replay:
             for k, (name, asked, found) in enumerate(calls):
                 if name == port and asked == given:
                     if any((n, a) == (port, asked) for n, a, _ in calls[k + 1 :]):
-                        # another recorded call has the same arguments, perhaps with another answer, so use this one
-                        # only once
+                        # Another recorded call has the same arguments and perhaps another answer. So each answer is
+                        # used only once.
                         del calls[k]
                     return from_trace(found, self._types[port])
             raise LookupError(f"no recorded call of {port} has these arguments")

@@ -333,8 +333,7 @@ def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obliga
         contracts and answers of callable ports. "environment": those about a step of the environment from a state in
         which the invariants hold.
     `of_two`: ask about fleets of at least two robots. Assumptions that read `pid` may contradict one another for robot
-    1
-        although they agree for robot 0."""
+        1 although they agree for robot 0."""
     part_encoder = PartEncoder(problem, thorough=True)
     context = part_encoder.context
     context.robot(t.integer(0), known=True)

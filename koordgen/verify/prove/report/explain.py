@@ -37,9 +37,8 @@ class FailureExplanation(NamedTuple):
 
     `counterexample`: a step that violates the invariant; None if no such step can be shown.
     `run`: a run from an initial state to a state in which the invariant is false; None if no run was found. Without a
-    run,
-        the counterexample's first state may be unreachable, and the counterexample only shows that the invariant is not
-        inductive.
+        run, the counterexample's first state may be unreachable, and the counterexample only shows that the invariant
+        is not inductive.
     `unshown`: the reason why no counterexample is shown although the solver reports one.
     `lacking`: conjuncts that would make the invariant inductive.
     `with_defaults`: whether the invariant is proved if the params have their default values.

@@ -29,8 +29,7 @@ def strengthening(program: decl.Program, invariant: str, proves: Proves) -> tupl
 
     `program`: the program with `invariant` and the invariants that may be assumed.
     `proves`: takes a program and names of invariants. It returns the names of the invariants that every step preserves,
-    if
-        all invariants of the program are assumed."""
+        if all invariants of the program are assumed."""
     for blocks in (True, False):
         found = _strengthening(program, invariant, _candidates(program, invariant, blocks), proves)
         if found:

@@ -81,8 +81,7 @@ def run_trace(
     """Return the trace of a run as JSON lines.
 
     `violated`: the property that is false in the last state, its line in the program, and details; None if no property
-    is
-        false.
+        is false.
     `culprit`: the robot and its next event, if the failure is that this event has no result; otherwise None."""
     lines: list[TraceRecord] = [_header(program, run_states, about), *_steps(program, run_states, about)]
     if violated is not None:

@@ -21,8 +21,7 @@ class LabelledFormula(Node):
     `label`: describes the formula ("invariant Geofence", "guard of Assign").
     `file`, `line`: the formula's position in the program.
     `position`: the number of loop heads and loop ends in the event before the program point at which the formula
-    becomes
-        known. A goal uses only facts whose position is at most the goal's position."""
+        becomes known. A goal uses only facts whose position is at most the goal's position."""
 
     label: str
     term: Term
@@ -71,8 +70,7 @@ class Obligation(Node):
     `notes`: each approximation in the encoding, and each assumption that is not in the program.
     `at`: for kind "loop", the loop head and its formula.
     `too_large`: if the formulas exceed a limit, the reason why they were not encoded. In this case no solver is asked,
-    and
-        the answer is "unknown"."""
+        and the answer is "unknown"."""
 
     name: str
     kind: Kind
