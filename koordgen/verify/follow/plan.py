@@ -31,7 +31,7 @@ LATEST = 3
 
 SHORT = "a proof uses exact numbers: choose params (--param) or values in the program that are short decimals"
 
-Events = Mapping[int, str]  # pid -> event
+Events = Mapping[int, str]  # pid -> name of the robot's event
 
 
 class CannotExecute(Exception):
@@ -213,8 +213,8 @@ class _Planner:
             raise ModelOnly(
                 f"{place}: {names} does not lead to the state in the trace ({off})" if off
                 else f"{place}: {names} has no result in the trace's first state",
-                "a plain event reads the store of its round's start, and a proof's step may begin within a round, when "
-                "others have written since; robots begin with a round",
+                "an event without a lock reads the store of its round's start: a proof's step may begin later in a "
+                "round, after writes of other robots, but agents always begin with a round's start",
             )  # fmt: skip
         after = self.stepped(acts, state, world)
         kind = CannotExecute if after is None or self.differs(acts[-1], after) else ModelOnly
@@ -319,7 +319,7 @@ class _Planner:
                 f"{self.given.path}:{step.line}: {error} within the precision of robots' numbers", SHORT
             ) from None
         except KeyError as error:
-            raise self.broken(step, f"the program has no {error}") from None
+            raise self.broken(step, f"the program has no variable {error}") from None
 
     def world(self, calls: Mapping[int, tuple[Any, ...]]) -> World:
         """Return a world in which callable ports give the answers that the trace contains."""

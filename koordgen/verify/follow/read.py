@@ -16,7 +16,7 @@ BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
 MOST_ROBOTS = 128  # same limit as in koordgen/runtime/net/wire.py; a test compares both limits
 
-Values = Mapping[str, Any]  # name -> value in JSON
+Values = Mapping[str, Any]  # name of a variable -> value in JSON
 
 
 class RobotRecord(NamedTuple):
@@ -120,13 +120,13 @@ def _steps(
         try:
             if record.get("kind") == "violation":
                 if part:
-                    raise ValueError("a step lacks robots")
+                    raise ValueError("the last step lacks the records of some robots")
                 return tuple(steps), _ending(record, n_sys), 0
             if record.get("kind") != "round":
                 continue
             first = first if part else number
             if record["pid"] != len(part):
-                raise ValueError(f"robot {record['pid']!r} instead of robot {len(part)}")
+                raise ValueError(f"found robot {record['pid']!r}, expected robot {len(part)}")
             part.append(record)
             if len(part) == n_sys:
                 steps.append(_step(first, part))
@@ -139,7 +139,7 @@ def _steps(
 def _step(line: int, part: list[dict[str, Any]]) -> TraceStep:
     event, round_ = part[0]["step"], part[0]["round"]
     if type(event) is not str or type(round_) is not int or round_ < 0:
-        raise ValueError(f"step {event!r} of round {round_!r}")
+        raise ValueError(f"expected a step and a round, found {event!r} and {round_!r}")
     if any((record["step"], record["round"]) != (event, round_) for record in part):
         raise ValueError("the records of one step name different steps")
     acting = [pid for pid, record in enumerate(part) if record["skipped"] is None]
@@ -153,18 +153,18 @@ def _record(record: dict[str, Any]) -> RobotRecord:
     sensors, shared, actuators, locals_ = (_table(record[group]) for group in GROUPS)
     calls = tuple([(port, list(args), answer) for port, args, answer in record.get("calls", ())])
     if any(type(port) is not str for port, _, _ in calls):
-        raise ValueError("calls")
+        raise ValueError("a call of a port without a name")
     return RobotRecord(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
 
 
 def _ending(record: dict[str, Any], n_sys: int) -> Ending:
     pid, event = record.get("pid", -1), record.get("event", "")
     if type(pid) is not int or not -1 <= pid < n_sys or type(event) is not str:
-        raise ValueError(f"robot {pid!r}, event {event!r}")
+        raise ValueError(f"expected a robot and an event, found {pid!r} and {event!r}")
     return Ending(str(record["name"]), str(record["line"]), str(record["detail"]), pid, event)
 
 
 def _table(value: Any) -> Values:
     if not isinstance(value, dict):
-        raise TypeError(f"{value!r} instead of a table")
+        raise TypeError(f"expected a table, found {value!r}")
     return value

@@ -31,7 +31,7 @@ def replay_trace(
             yield from _view(line, views)
             continue
         if line.record["kind"] == "init":
-            views.clear()  # the recorded views belong to an earlier mission
+            views.clear()  # the views known so far belong to an earlier mission
         robot = robots[line.pid]
         # The previous part of the trace ends in the middle of a record, so records are missing between the parts.
         if trace.cut and line.record["kind"] == "checkpoint":
@@ -85,7 +85,7 @@ class Stores:
         self._until = min(until, min(ends.values()))
         self._known: dict[int, Shown] = {
             0: self._writes.after(self._writes.first(), 0)
-        }  # round -> store after the round
+        }  # round -> shared store after this round
 
     def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
         """Compare a robot's copy of the store at a round's start with the store after the previous round."""

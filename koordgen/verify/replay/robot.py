@@ -60,7 +60,8 @@ class Replay:
 
     `externs`: the extern functions, as in `World`.
     `followed`: "run" or "step" if the traced run executed a counterexample; otherwise empty. In such a run, a robot may
-        run any enabled event or no event. For "step", the record of `init` contains the counterexample's first state."""
+        run any enabled event or no event. For "step", the record of `init` contains the first state of the
+        counterexample."""
 
     program: decl.Program
     externs: Mapping[str, Any]
@@ -78,7 +79,7 @@ class Replay:
         self._store: dict[str, Any] = {}  # the robot's copy of the store; an allread variable maps pid -> value
         self._streams: list[tuple[str, str]] = []
         self._round = 0
-        self._begun = False  # whether the values of the robot's own variables are known
+        self._begun = False  # whether the values of the robot's own variables are known.
         # Copy of the shared store that the robot read according to its last record. An allread variable maps pid ->
         # value.
         self.saw: Mapping[str, Any] | None = None

@@ -16,7 +16,7 @@ from koordgen.runtime.trace.parts import base_of, numbered
 from koordgen.runtime.trace.schema import MOST_ROBOTS, NO_HEADER, BadTrace, Upgrade, format_of
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 
-LONGEST = 8 << 20  # largest size of a header, in bytes
+LONGEST = 8 << 20  # largest size of a trace's header, in bytes
 KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
@@ -68,7 +68,7 @@ class TraceParts:
                 continue
             pid = self.pid if self.own else record.get("pid")
             if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
-                raise BadTrace(f"{self.place(number)}: no robot {pid!r}")
+                raise BadTrace(f"{self.place(number)}: the fleet has no robot with pid {pid!r}")
             try:
                 record = sound(record, data)
             except Unsound as flaw:
@@ -76,7 +76,9 @@ class TraceParts:
             if record["kind"] == "checkpoint" and not last:
                 self.since = self.since or record["round"] + 1
             if record["kind"] == "round" and record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
-                raise BadTrace(f"{self.place(number)}: round {record['round']} after round {last[pid]}")
+                raise BadTrace(
+                    f"{self.place(number)}: round {record['round']} after round {last[pid]}: rounds are missing"
+                )
             if record["kind"] in ("init", "round"):
                 last[pid] = record.get("round", 0)
             yield TraceLine(number, pid, record)
@@ -103,7 +105,7 @@ def open_trace(path: Path) -> TraceParts:
             return TraceParts(path, app, program_hash, names, False, 0, followed=followed)
         n, pid = int(header["n_sys"]), int(header["pid"])
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
-            raise ValueError(f"pid {pid} of {n} robots")
+            raise ValueError(f"pid {pid} in a fleet of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
         return TraceParts(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -182,7 +184,7 @@ def records(trace: TraceParts) -> Iterator[tuple[int, dict[str, Any], bytes]]:
                         trace.cut = number
                         break
                     if not isinstance(record, dict):
-                        raise BadTrace(f"{trace.place(number)}: no record")
+                        raise BadTrace(f"{trace.place(number)}: the line contains no record")
                     yield number, record, line
         except OSError as error:
             raise BadTrace(f"{path}: {error.strerror or error}") from None

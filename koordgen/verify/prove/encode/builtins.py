@@ -63,7 +63,7 @@ def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return _length(e, node, args[0])
         case "first" | "last":
             xs = path_of(args[0])
-            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of a nonempty collection", line)
+            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"the collection for {name} is not empty", line)
             return _end(e, xs, name == "first")
         case "index":
             e.context.demand(e.lists.has(path_of(args[0]), args[1]), "the item of `index` is in the list", line)
@@ -96,7 +96,7 @@ def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     if node.name in ("asin", "acos", "log"):
         x, one = as_term(args[0]), t.real(1)
         inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
-        e.context.demand(inside, f"{node.name} within its domain", node.span.line)
+        e.context.demand(inside, f"the argument of {node.name} is in its domain", node.span.line)
     elif node.name in ("tan", "exp", "cell"):
         e.context.note(f"{node.name}: the proof allows any result, and does not show that a result exists")
     return e.apply(node.name, f"{node.name}@", args, node.type)
@@ -115,7 +115,7 @@ def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
                 t.and_(t.at_most(_ZERO, index), t.at_most(index, e.lists.length(xs))), "index in range", line
             )
         case "popped":
-            context.demand(t.less(_ZERO, e.lists.length(xs)), "pop of a nonempty list", line)
+            context.demand(t.less(_ZERO, e.lists.length(xs)), "the popped list is not empty", line)
         case "removed" | "set_without" | "map_without":
             context.demand(e.lists.has(xs, args[1]), "the removed item is present", line)
         case "cleared":
@@ -157,7 +157,7 @@ def _whole(name: str, x: Term) -> Term:
 
 def _root(e: ExprEncoder, x: Term, line: int) -> Term:
     zero = t.real(0)
-    e.context.demand(t.at_most(zero, x), "sqrt of a number >= 0", line)
+    e.context.demand(t.at_most(zero, x), "the argument of sqrt is not negative", line)
     found = t.apply(t.FunctionSymbol("sqrt@", (t.REAL,), t.REAL), x)
     square = t.and_(t.at_most(zero, found), t.equals(t.multiply(found, found), x))
     e.context.fact(t.implies(t.at_most(zero, x), square), "sqrt", line)

@@ -40,8 +40,7 @@ _RESERVED = frozenset(
     )
 )
 _ZERO = t.integer(0)
-# Number of passes of `instantiate` in which terms from new instances are registered. Later passes register no new
-# terms.
+# Number of passes of `instantiate` that register the terms of new instances. Later passes register no new terms.
 GENERATIONS = 1
 
 
@@ -89,26 +88,26 @@ class ProofContext:
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
         self.facts: list[LabelledFormula] = []
         self.seen: dict[Term, int] = {}  # term of a fact -> the first position from which the fact is known
-        self.demands: list[LabelledFormula] = []  # conditions under which all encoded operations have values
+        self.demands: list[LabelledFormula] = []  # conditions under which all operations encoded so far have values
         self.notes: dict[str, None] = {}
         self.path: tuple[Term, ...] = ()
-        self.indices: dict[Term, bool] = {}  # term that may name a robot -> whether the term surely names a robot
-        # the terms of `indices` that are witnesses or arose in instances of universal formulas
+        self.indices: dict[Term, bool] = {}  # term that may name a robot -> whether it surely names a robot.
+        # The terms of `indices` that are witnesses, or that arose in instances of universal formulas.
         self.witnesses: dict[Term, None] = {}
         self.ignored: set[Term] = set()  # terms at which universal formulas are never instantiated
         self.places: dict[Term, None] = {}  # terms that denote positions in lists
         self.universals: list[Universal] = []
         self.own: Term | None = None  # pid of the robot that runs the event
         self.others: set[Term] = set()  # terms that never equal `own`: each names another robot, or no robot
-        self.known: dict[Term, Term] = {}  # application of a symbol -> its value, as the event's guard implies it
+        self.known: dict[Term, Term] = {}  # variable as a term -> the value that the event's guard gives it
         self.instantiating = False
         self.passes = 0
         self.position = 0  # number of loop heads and loop ends encoded in this event
         self.known_from = 0  # position from which on a new fact is known
-        self.absent: dict[tuple[object, ...], Term] = {}  # item -> the term "no robot has this item"
-        # int terms over which the current quantifier ranges: each is a robot's pid
+        self.absent: dict[tuple[object, ...], Term] = {}  # item -> the term "no robot has this item".
+        # Int terms over which the current quantifier ranges. Each term is a robot's pid.
         self.granted: set[Term] = set()
-        self.folds: set[Term] = set()  # sums over all robots that have their facts
+        self.folds: set[Term] = set()  # sums over all robots whose facts have been added
         self.texts: dict[str, Term] = {}  # text of a string literal -> its constant
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
@@ -118,7 +117,7 @@ class ProofContext:
         if robots is not None and unrolled:
             self.indices = {t.integer(i): True for i in range(robots)}
 
-    # Facts and demands
+    # Recording of facts and demands
 
     def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
         """Add a formula that holds in every model, known from the position `known_from` on.
@@ -214,7 +213,7 @@ class ProofContext:
     def note(self, text: str) -> None:
         self.notes[text] = None
 
-    # Symbols
+    # Creation of symbols
 
     def new(self, hint: str, sort: Sort) -> Term:
         """Return a new constant about which no fact is known."""
@@ -256,7 +255,7 @@ class ProofContext:
         The context keeps the value alive, so that Python does not reuse the value's id."""
         return self.versions.setdefault(id(value), (len(self.versions), value))[0]
 
-    # Robots
+    # Terms that name robots
 
     def within(self, index: Term) -> Term:
         """Return the term "`index` is the pid of a robot"."""

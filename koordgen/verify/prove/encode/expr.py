@@ -73,7 +73,7 @@ class Encoder:
             self.calls.setdefault(name, []).append(args)
         return self.context.function(symbol, leaves, type_)
 
-    # Reads
+    # Encoding of reads
 
     def const(self, node: ir.Const, scope: Scope) -> Val:
         if isinstance(node.value, bool):
@@ -138,7 +138,7 @@ class Encoder:
             self.context.robot(index)
         return index
 
-    # Operators
+    # Encoding of operators
 
     def widen(self, node: ir.Widen, scope: Scope) -> Val:
         return t.to_real(self.term(node.operand, scope))
@@ -265,7 +265,7 @@ class Encoder:
             orelse = self.value(node.orelse, scope)
         return pick(condition, then, orelse)
 
-    # Records, tuples and collections
+    # Encoding of records, tuples and collections
 
     def make(self, node: ir.Make, scope: Scope) -> Val:
         items = tuple([self.value(item, scope) for item in node.items])
@@ -321,7 +321,7 @@ class Encoder:
         args = tuple([b for b in bounds if b is not None])
         return self.context.function(name, (*self.lists.leaves(whole), *args), node.type)
 
-    # Calls
+    # Encoding of calls
 
     def called(self, node: ir.Call | ir.ExternCall, scope: Scope) -> Val:
         return self.call(node.name, tuple([self.value(arg, scope) for arg in node.args]), node)

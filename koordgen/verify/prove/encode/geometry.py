@@ -43,7 +43,7 @@ class Geometry:
         self.points: dict[Term, Triple] = {}  # path with exactly one point -> the point
         self.given: set[Term] = set()  # paths whose distance the program computes
         self.singles: dict[Triple, Term] = {}
-        # (path, other path, number of known neighbours and single points at that time) of the pairs that have lemmas
+        # (path, other path, number of known neighbours and single points at that time) of each pair that has lemmas
         self.done: set[tuple[Term, Term, int]] = set()
         # term of a path -> the path, for paths that may have several points
         self.others: dict[Term, Collection] = {}
@@ -163,7 +163,7 @@ class Geometry:
             found = self._path(_single(point), point)
         return self._apart(found, q)
 
-    # Lemmas
+    # Lemmas about distances
 
     def lemmas(self, exact: bool) -> None:
         """Add the lemmas about the distances in the context.

@@ -48,8 +48,8 @@ class Lists:
         self.terms: dict[Collection, Term] = {}
         self.fleets: dict[Term, FleetValue] = {}
         self.lengths: dict[Collection, Term] = {}
-        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read
-        # collection -> item and result of each test for membership
+        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read.
+        # Collection -> item and result of each test whether the collection contains the item.
         self.asked: dict[Term, list[tuple[Val, Term]]] = {}
         self.elements: dict[tuple[Collection, Term], Val] = {}
 
@@ -208,7 +208,7 @@ class Lists:
                 assert isinstance(xs.type, MapOf)
                 return self.context.function(f"{xs.type}.value", (self.term(xs), *self.leaves(key)), xs.type.value)
 
-    # Equality
+    # Equality of values
 
     def same(self, a: Val, b: Val) -> Term:
         """Return the term `a == b` for two values of the same type."""
@@ -315,7 +315,7 @@ class Lists:
                 apart = t.constant(f"{fleet.name}@apart@{name}", t.INT)
                 self.context.robot(apart)
                 differ = t.and_(self.context.within(apart), t.not_(self.same(fleet.slot(apart), xs.slot(apart))))
-                self.context.fact(t.or_(t.equals(other, found), differ), "equal in all robots")
+                self.context.fact(t.or_(t.equals(other, found), differ), "variables that differ do so in some robot")
         self.fleets[found] = xs
         return found
 

@@ -130,7 +130,7 @@ class SymbolicFrame:
         self.context.fresh += 1
         return UpdatedState(self.context, self.now, self.pid, writes, f"@place{self.context.fresh}")
 
-    # Reads
+    # Reads of variables and ports
 
     def own(self, key: Key) -> Val:
         if key in self.env:
@@ -165,7 +165,7 @@ class SymbolicFrame:
 
     port_of = local_of
 
-    # Statements
+    # Execution of statements
 
     def block(self, block: stmt.Block) -> Term:
         """Execute the statements of a block.
@@ -238,7 +238,7 @@ class SymbolicFrame:
             self.restore(self.merged(condition, after, self.snapshot()))
         return t.ite(condition, then, orelse)
 
-    # Loops
+    # Execution of loops
 
     def loop(self, loop: Loop) -> Term:
         around, self.exits = self.exits, []
@@ -322,7 +322,7 @@ class SymbolicFrame:
         many = len(context.demands)
         left = leaves(first)
         exits = self.exits
-        context.fact(t.implies(found, left), "exit of a loop", loop.span.line)
+        context.fact(t.implies(found, left), "iteration that leaves a loop", loop.span.line)
 
         def instance(index: Term) -> Term:
             kept, around = context.path, (self.exits, self.snapshot())
@@ -335,7 +335,7 @@ class SymbolicFrame:
                 self.restore(around[1])
             return t.implies(here, t.and_(found, over.not_after(first, index)))
 
-        with context.about("exit of a loop", loop.span.line):
+        with context.about("iteration that leaves a loop", loop.span.line):
             context.element(first, over.robots, over.places and first not in context.ignored)
             context.for_all(instance, over.robots, over.places)
         if len(context.demands) > many:

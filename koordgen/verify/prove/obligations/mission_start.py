@@ -145,7 +145,7 @@ class StartState:
             run = self.run(robot)
             return t.and_(context.within(robot), as_term(run.env.get(wrote, t.FALSE)))
 
-        with context.about("the highest pid counts", 0):
+        with context.about("the write of the highest pid counts", 0):
             context.robot(last)
             context.robot(t.integer(0))
             context.robot(t.subtract(context.size, t.integer(1)))

@@ -25,8 +25,8 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, StateCell, StateName
 from koordgen.verify.prove.smt.term import Term
 
-# Amount of facts that are added. "little" suffices for most proofs. "most" adds all facts, which takes solvers long.
-# Counterexamples satisfy the facts of "usual" or "most".
+# Level of detail: the amount of facts that are added to a proof. "little" suffices for most proofs. "most" adds all
+# facts, which takes solvers long. Counterexamples satisfy the facts of "usual" or "most".
 Detail = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
 # Largest number of value combinations at which an axiom is instantiated, when axioms are checked for contradictions.
@@ -104,7 +104,7 @@ class PartEncoder:
         name = symbol(param.name)
         return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
 
-    # Assumptions
+    # Formulas that the proof assumes
 
     def rigid(self, formula: ir.Expr) -> None:
         """Assume, in all states, the parts of an `initially` formula that read only params.

@@ -171,7 +171,7 @@ def _base(reading: ModelStates) -> Counterexample:
 def _init(reading: ModelStates) -> Counterexample:
     before, _, discarded = _ran_init(reading)
     if discarded is None:
-        raise Unshowable("init has a result when it is run")
+        raise Unshowable("init has a result when the semantics runs it")
     return _failed_step(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
 
 
@@ -216,7 +216,7 @@ def is_allowed(
             for a in module.assumptions
         )
     except Discarded as error:
-        raise Unshowable(f"an assumption has no value in its step: {error.reason}") from None
+        raise Unshowable(f"an assumption has no value in the step of the counterexample: {error.reason}") from None
 
 
 def _event(reading: ModelStates) -> Counterexample:
@@ -253,7 +253,7 @@ def _event(reading: ModelStates) -> Counterexample:
                 return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
         if obligation.kind == "event" and not _are_all_true(obligation.invariant, program, after):
             return _failed_step(reading, begun, before, after, pid, "")
-        why = "the step preserves the invariant when it is run"
+        why = "the step preserves the invariant when the semantics runs it"
     raise Unshowable(why)
 
 
@@ -284,7 +284,7 @@ def _failed_step(
         if property_.name == obligation.invariant and property_.kind == "invariant":
             failed = failing_conjunct(property_, reading.program, after)
     if failed is None and not discarded:
-        raise Unshowable("the step preserves the invariant when it is run")
+        raise Unshowable("the step preserves the invariant when the semantics runs it")
     return _seen(reading, begun, before, after, pid, failed, discarded)
 
 

@@ -68,7 +68,7 @@ def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[dec
     variable.
     """
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
-    known.sort(key=lambda p: p.name != invariant)  # candidates from the invariant itself come first
+    known.sort(key=lambda p: p.name != invariant)  # conjuncts of the invariant come before all others
     present = {to_koord(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
     found: dict[str, ir.Expr] = {}
     for property_ in known:

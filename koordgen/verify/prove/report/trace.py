@@ -177,7 +177,7 @@ def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, 
     run_state, before = run_states[index], run_states[index - 1].state
     begun = next(m.state for m in reversed(run_states[:index]) if m.round < run_state.round or m is run_states[0])
     pending: list[tuple[int, ...]] = [()]
-    for scripted in pending:  # the loop's body appends to this list
+    for scripted in pending:  # the body of this loop appends to `pending`
         script = _Script(about, before.robots[pid].ports, scripted)
         done = _again(program, run_state.event, before, begun, pid, World(about.externs, script.answer))
         if isinstance(done, Writes):

@@ -72,7 +72,7 @@ LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
 # z3's first answer takes 10 ms longer than later answers, so an empty query is sent first.
 WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'
 GRACE = 1.0  # seconds that a solver may exceed a query's limit before it is killed
-MOST_BYTES = 1 << 24  # largest answer that is read, in bytes
+MOST_BYTES = 1 << 24  # size of the largest answer that is read, in bytes
 
 
 class SolverMissing(Exception):

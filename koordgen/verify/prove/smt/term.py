@@ -166,7 +166,7 @@ def number(term: Term) -> int | Fraction | None:
     return term.value if type(term) is LiteralTerm and term.sort is not BOOL else None
 
 
-# Truth values
+# Constructors of truth values
 
 
 def not_(a: Term) -> Term:
@@ -286,7 +286,7 @@ def _split(a: Term) -> tuple[Term, int | Fraction]:
     return a, 0
 
 
-# Numbers
+# Constructors of numbers
 
 
 def add(a: Term, b: Term) -> Term:
