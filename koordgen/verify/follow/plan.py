@@ -24,7 +24,7 @@ from koordgen.verify.follow.exact import agree, fraction, nearest
 from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, CounterexampleTrace, RobotRecord, TraceStep
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-# Largest number of events in a round for which every split is tried. With more events, only the usual splits are tried.
+# Largest number of events in a round for which every split is tried. With more events, fewer splits are tried.
 MOST = 5
 # Number of agents' rounds at the end of a deadlock's plan in which every robot may choose its events itself.
 LATEST = 3
@@ -128,7 +128,7 @@ class _Planner:
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
         self.cleared: set[tuple[int, str]] = set()  # (pid, sensor) of each sensor that a command has cleared
         self.rounds: list[AgentRound] = []
-        self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
+        self.rounded = fraction([given.params, *[recorded for step in given.steps for recorded in step.robots]])
 
     def plan(self) -> ExecutionPlan:
         first, *steps = self.given.steps
@@ -178,7 +178,7 @@ class _Planner:
             self.note(self.done(block, state, self.world(calls)) or ())
             state = after
         if moved:
-            state = sense(state, [self.sensed(moved[0], told, pid) for pid, told in enumerate(moved[0].robots)])
+            state = sense(state, [self.sensed(moved[0], recorded, pid) for pid, recorded in enumerate(moved[0].robots)])
             self.compare(moved[0], state)
         return state
 
@@ -285,18 +285,20 @@ class _Planner:
 
     def begun(self, first: TraceStep) -> State:
         """Return the first state of the trace."""
-        sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
+        sensors = [self.sensed(first, recorded, pid) for pid, recorded in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
         if self.given.initial:
             self.compare(first, state)
             return state
         robots, slots = [], {name: list(held) for name, held in state.store.slots.items()}
         cells = dict(state.store.cells)
-        for pid, told in enumerate(first.robots):
-            values = self.values(first, {**told.locals, **told.actuators, **told.sensors, **told.shared})
+        for pid, recorded in enumerate(first.robots):
+            values = self.values(
+                first, {**recorded.locals, **recorded.actuators, **recorded.sensors, **recorded.shared}
+            )
             own = {name: values[name] for name in state.robots[pid].locals}
             ports = {name: values[name] for name in state.robots[pid].ports}
-            robots.append(Robot(own, ports, told.stopped))
+            robots.append(Robot(own, ports, recorded.stopped))
             for name, held in slots.items():
                 held[pid] = values[name]
             cells = {name: values[name] for name in cells}
@@ -305,15 +307,15 @@ class _Planner:
         self.compare(first, state)
         return state
 
-    def sensed(self, step: TraceStep, told: RobotRecord, pid: int) -> dict[str, Value]:
-        if set(told.sensors) != self.sensors:
-            raise self.broken(step, f"the trace's sensors are {', '.join(told.sensors) or 'none'}")
+    def sensed(self, step: TraceStep, recorded: RobotRecord, pid: int) -> dict[str, Value]:
+        if set(recorded.sensors) != self.sensors:
+            raise self.broken(step, f"the trace's sensors are {', '.join(recorded.sensors) or 'none'}")
         known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
-        return {**self.values(step, told.sensors), **known}
+        return {**self.values(step, recorded.sensors), **known}
 
-    def values(self, step: TraceStep, told: Mapping[str, Any]) -> dict[str, Value]:
+    def values(self, step: TraceStep, recorded: Mapping[str, Any]) -> dict[str, Value]:
         try:
-            return {name: from_trace(value, self.types[name], nearest) for name, value in told.items()}
+            return {name: from_trace(value, self.types[name], nearest) for name, value in recorded.items()}
         except BadValue as error:
             raise CannotExecute(
                 f"{self.given.path}:{step.line}: {error} within the precision of robots' numbers", SHORT
@@ -351,22 +353,22 @@ class _Planner:
 
     def differs(self, step: TraceStep, state: State) -> str:
         """Return a description of a difference between a state and the trace; empty if they are equal."""
-        for pid, told in enumerate(step.robots):
+        for pid, recorded in enumerate(step.robots):
             robot = state.robots[pid]
-            meant = {**robot.locals, **robot.ports, **state.store.cells}
-            meant |= {name: held[pid] for name, held in state.store.slots.items()}
-            said = {**told.locals, **told.actuators, **told.sensors, **told.shared}
+            computed = {**robot.locals, **robot.ports, **state.store.cells}
+            computed |= {name: held[pid] for name, held in state.store.slots.items()}
+            said = {**recorded.locals, **recorded.actuators, **recorded.sensors, **recorded.shared}
             said |= {name: robot.ports[name] for name in self.unset(pid)}
-            for name in [*meant, *[n for n in said if n not in meant]]:
-                if name not in meant or name not in said or not self.agree(said[name], plain(meant[name])):
-                    values = f"{said.get(name)!r} in the trace and {plain(meant.get(name))!r} by the program"
+            for name in [*computed, *[n for n in said if n not in computed]]:
+                if name not in computed or name not in said or not self.agree(said[name], plain(computed[name])):
+                    values = f"{said.get(name)!r} in the trace and {plain(computed.get(name))!r} by the program"
                     return f"{name} of robot {pid} is {values}"
-            if told.stopped != robot.stopped:
-                return f"robot {pid} has{'' if told.stopped else ' not'} stopped in the trace"
+            if recorded.stopped != robot.stopped:
+                return f"robot {pid} has{'' if recorded.stopped else ' not'} stopped in the trace"
         return ""
 
-    def agree(self, told: Any, meant: Any) -> bool:
-        return agree(told, meant, bool(self.rounded))
+    def agree(self, recorded: Any, computed: Any) -> bool:
+        return agree(recorded, computed, bool(self.rounded))
 
     def broken(self, step: TraceStep, why: str) -> CannotExecute:
         return CannotExecute(
@@ -388,9 +390,9 @@ def _by_round(steps: list[TraceStep]) -> Iterator[tuple[int, list[TraceStep]]]:
 def _calls(steps: list[TraceStep]) -> dict[int, tuple[Any, ...]]:
     found: dict[int, tuple[Any, ...]] = {}
     for step in steps:
-        for pid, told in enumerate(step.robots):
-            if told.calls:
-                found[pid] = (*found.get(pid, ()), *told.calls)
+        for pid, recorded in enumerate(step.robots):
+            if recorded.calls:
+                found[pid] = (*found.get(pid, ()), *recorded.calls)
     return found
 
 

@@ -53,10 +53,10 @@ def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Differ
         number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise Unreplayable(line.number, f"a broken record: {error!r}") from None
-    meant = views.setdefault(number, (since, members))
-    if (since, members) != meant:
-        told = [f"{who} from round {begins} on" for begins, who in ((since, members), meant)]
-        yield Difference(line.number, since, line.pid, f"view {number}", *told)
+    first = views.setdefault(number, (since, members))
+    if (since, members) != first:
+        texts = [f"{who} from round {begins} on" for begins, who in ((since, members), first)]
+        yield Difference(line.number, since, line.pid, f"view {number}", *texts)
 
 
 class Stores:
@@ -93,15 +93,15 @@ class Stores:
         if round_ - 1 > self._until:
             return
         store = self._of(round_ - 1)
-        for name, meant in store.items():
+        for name, computed in store.items():
             if name in self._writes.slots:
-                for pid, own in enumerate(meant):
+                for pid, own in enumerate(computed):
                     if plain(copy[name][pid]) != own:
                         yield Difference(
                             line.number, round_, line.pid, f"copy of {name}[{pid}]", plain(copy[name][pid]), own
                         )
-            elif plain(copy[name]) != meant:
-                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), meant)
+            elif plain(copy[name]) != computed:
+                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), computed)
 
     def _of(self, round_: int) -> Shown:
         latest = max(self._known)

@@ -62,7 +62,7 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
     def call(*args: Value) -> Value:
         types = [parameter.type for parameter in function.parameters]
-        return meant_value(
+        return semantic_value(
             wrapped(*[python_value(a, t, scope, names) for a, t in zip(args, types, strict=True)]), function.result
         )
 
@@ -87,17 +87,17 @@ def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names
             return value
 
 
-def meant_value(value: Any, type_: Type) -> Value:
+def semantic_value(value: Any, type_: Type) -> Value:
     match type_:
         case RecordType(name, fields):
             parts = [getattr(value, field) for field in value.__struct_fields__]
-            return RecordValue(name, tuple([meant_value(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
+            return RecordValue(name, tuple([semantic_value(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
         case Sequence(_, element) | PerRobot(element):
-            return tuple([meant_value(part, element) for part in value])
+            return tuple([semantic_value(part, element) for part in value])
         case MapOf(key, held):
-            return tuple([(meant_value(k, key), meant_value(v, held)) for k, v in value])
+            return tuple([(semantic_value(k, key), semantic_value(v, held)) for k, v in value])
         case TupleOf(items):
-            return tuple([meant_value(part, t) for part, t in zip(value, items, strict=True)])
+            return tuple([semantic_value(part, t) for part, t in zip(value, items, strict=True)])
         case _:
             found: Value = value
             return found

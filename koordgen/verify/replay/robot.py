@@ -27,15 +27,15 @@ class Difference(NamedTuple):
     """Difference between trace and program.
 
     `number`: the line of the trace.
-    `told`: the value in the trace.
-    `meant`: the value that the semantics computes."""
+    `recorded`: the value in the trace.
+    `computed`: the value that the semantics computes."""
 
     number: int
     round: int
     pid: int
     what: str
-    told: Any
-    meant: Any
+    recorded: Any
+    computed: Any
 
 
 class Unreplayable(Exception):
@@ -97,12 +97,12 @@ class Replay:
                 case "round":
                     yield from self.end(line.number)
                     self._round = int(record["round"])
-                    yield from self._take_round(line, record)
+                    yield from self._replay_round(line, record)
                 case _:
                     yield from self._stream(line, record)
         except (BadValue, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
-            told = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
-            raise Unreplayable(line.number, told) from None
+            reason = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
+            raise Unreplayable(line.number, reason) from None
 
     def end(self, number: int) -> Iterator[Difference]:
         """Yield the differences at the end of the last round.
@@ -128,14 +128,14 @@ class Replay:
         if own is None:
             return
         for group, known in (("locals", self._own), ("actuators", self._actuators)):
-            told = own.get(group, {})
-            for name in {**known, **told}:
-                meant = plain(known[name]) if name in known else None
-                if name in known and told.get(name) == meant:
+            recorded = own.get(group, {})
+            for name in {**known, **recorded}:
+                computed = plain(known[name]) if name in known else None
+                if name in known and recorded.get(name) == computed:
                     continue  # keep the computed value: null in a trace denotes any number that is not finite
                 if self._begun:
-                    yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
-                known.update(self._values({name: told[name]} if name in told else {}))
+                    yield Difference(line.number, self._round, self.pid, name, recorded.get(name), computed)
+                known.update(self._values({name: recorded[name]} if name in recorded else {}))
         self._begun = True
 
     def _init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
@@ -153,17 +153,17 @@ class Replay:
         if isinstance(done, Discarded):
             yield Difference(line.number, 0, self.pid, "init", "it ran", f"init is discarded: {done}")
         else:
-            meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
-            yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
+            computed = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
+            yield from self._compared(line, record, {**computed, "actuators": {**actuators, **done.ports}})
             yield from self._loops(line, record, done)
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """Return the actuators that no event wrote and that hold at an undeclared sensor."""
+        """Return the actuators that no event wrote and whose hold value is that of an undeclared sensor."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
         return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 
-    def _take_round(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
+    def _replay_round(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         self.counts.rounds += 1
         restored = record.get("restored")
         if restored is not None:
@@ -179,11 +179,11 @@ class Replay:
         if fault is not None:
             yield from self._fault(line, event, fault, chosen, state, record)
             return
-        meant = (
+        computed = (
             None if chosen is None else chosen.name if isinstance(chosen, decl.Event) else f"{chosen.event} discarded"
         )
-        if event != meant:
-            yield Difference(line.number, self._round, self.pid, "the event", event, meant)
+        if event != computed:
+            yield Difference(line.number, self._round, self.pid, "the event", event, computed)
         elif isinstance(chosen, decl.Event):
             self.counts.events += 1
             yield from self._event(
@@ -218,22 +218,24 @@ class Replay:
             )
             return
         # The record omits a local variable if the event wrote the variable's old value again.
-        told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
-        meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
-        yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
+        recorded = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
+        computed = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
+        yield from self._compared(line, {**record, "locals": recorded}, {**computed, "stopped": done.stopped})
         yield from self._loops(line, record, done)
         self._streams = list(done.streams)
         # Keep the computed value, because null in a trace denotes any number that is not finite.
         for name, value in done.locals.items():
-            if plain(value) == told[name]:
+            if plain(value) == recorded[name]:
                 self._own[name] = value
 
     def _loops(self, line: TraceLine, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
         """Compare the recorded lines of false loop invariants with the semantics."""
-        told, meant = record.get("violated", []), [span.line for span in done.violated]
-        self.counts.violated += bool(meant)
-        if told != meant:
-            yield Difference(line.number, self._round, self.pid, "the list of false loop invariants", told, meant)
+        recorded, computed = record.get("violated", []), [span.line for span in done.violated]
+        self.counts.violated += bool(computed)
+        if recorded != computed:
+            yield Difference(
+                line.number, self._round, self.pid, "the list of false loop invariants", recorded, computed
+            )
 
     def _fault(
         self, line: TraceLine, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
@@ -249,30 +251,34 @@ class Replay:
         done: Any = chosen.outcome if isinstance(chosen, Step) else chosen
         if isinstance(chosen, decl.Event):
             done = execute(self.program, chosen.effect, state, self.pid, self._world(record))
-        told = f"discarded at line {fault.get('line')}: {fault.get('reason')}"
+        recorded = f"discarded at line {fault.get('line')}: {fault.get('reason')}"
         name = chosen.name if isinstance(chosen, decl.Event) else None
         if not isinstance(done, Discarded):
-            yield Difference(line.number, self._round, self.pid, f"event {event or name}", told, "it counts")
+            yield Difference(line.number, self._round, self.pid, f"event {event or name}", recorded, "it counts")
         elif event != name or done.span.line != fault.get("line"):
-            yield Difference(line.number, self._round, self.pid, f"event {event}", told, f"{name} discarded at {done}")
+            yield Difference(
+                line.number, self._round, self.pid, f"event {event}", recorded, f"{name} discarded at {done}"
+            )
 
     def _stream(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
-        told = (str(record["port"]), str(record["text"]))
-        meant = self._streams.pop(0) if self._streams else None
-        if told != meant:
-            yield Difference(line.number, int(record["round"]), self.pid, told[0], told[1], meant and meant[1])
+        recorded = (str(record["port"]), str(record["text"]))
+        computed = self._streams.pop(0) if self._streams else None
+        if recorded != computed:
+            yield Difference(
+                line.number, int(record["round"]), self.pid, recorded[0], recorded[1], computed and computed[1]
+            )
 
-    def _compared(self, line: TraceLine, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
-        for group, values in meant.items():
-            told = record.get(group, False if group == "stopped" else {})
+    def _compared(self, line: TraceLine, record: dict[str, Any], computed: Mapping[str, Any]) -> Iterator[Difference]:
+        for group, values in computed.items():
+            recorded = record.get(group, False if group == "stopped" else {})
             if group == "stopped":
-                if bool(told) != values:
-                    yield Difference(line.number, self._round, self.pid, "stop", bool(told), values)
+                if bool(recorded) != values:
+                    yield Difference(line.number, self._round, self.pid, "stop", bool(recorded), values)
                 continue
-            for name in [*values, *[n for n in told if n not in values]]:
+            for name in [*values, *[n for n in recorded if n not in values]]:
                 wanted = plain(values[name]) if name in values else None
-                if name not in told or name not in values or told[name] != wanted:
-                    yield Difference(line.number, self._round, self.pid, name, told.get(name), wanted)
+                if name not in recorded or name not in values or recorded[name] != wanted:
+                    yield Difference(line.number, self._round, self.pid, name, recorded.get(name), wanted)
 
     def _learn(self, copy: dict[str, Any]) -> None:
         for name, value in copy.items():
@@ -313,5 +319,5 @@ class Replay:
 
         return World(self.externs, answer)
 
-    def _values(self, told: Mapping[str, Any]) -> dict[str, Value]:
-        return {name: from_trace(value, self._types[name]) for name, value in told.items()}
+    def _values(self, recorded: Mapping[str, Any]) -> dict[str, Value]:
+        return {name: from_trace(value, self._types[name]) for name, value in recorded.items()}

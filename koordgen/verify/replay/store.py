@@ -22,14 +22,14 @@ class RecordedWrites:
     def __init__(self, program: decl.Program, n_sys: int) -> None:
         self.slots = {v.name for v in program.shared if v.kind == "allread"}
         self._locks = {event.name: event.lock is not None for event in program.events}
-        self._told: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
+        self._recorded: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
         self._initial = initial(program, n_sys).store
 
     def add_record(self, pid: int, record: Mapping[str, Any]) -> None:
         """Add the writes of one record (of a round, or of `init`) of a robot."""
         if record.get("shared"):
             plain_event = not self._locks.get(record.get("event") or "", False)
-            self._told.setdefault(int(record.get("round", 0)), []).append((plain_event, pid, record["shared"]))
+            self._recorded.setdefault(int(record.get("round", 0)), []).append((plain_event, pid, record["shared"]))
 
     def first(self) -> Shown:
         """Return the initial store, before any `init` has run."""
@@ -42,7 +42,7 @@ class RecordedWrites:
         """Return the store after a round, computed from the store after the previous round.
 
         Round 0 is `init`."""
-        writes = self._told.get(round_)
+        writes = self._recorded.get(round_)
         if not writes:
             return store
         found = dict(store)

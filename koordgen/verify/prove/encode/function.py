@@ -31,15 +31,15 @@ from koordgen.verify.prove.smt.term import Term
 class Functions:
     """Functions of a program in one proof context.
 
-    `know`: receives the head of each loop that is not unrolled, and adds the facts that hold at the head.
+    `assume_at_head`: receives the head of each loop that is not unrolled, and adds the facts that hold at the head.
     `brief`: True to add no facts about the results of functions with such loops. Most proofs do not need these
     facts."""
 
     def __init__(
-        self, context: ProofContext, params: dict[str, Val], know: Callable[[LoopHead], None], brief: bool
+        self, context: ProofContext, params: dict[str, Val], assume_at_head: Callable[[LoopHead], None], brief: bool
     ) -> None:
         program = context.program
-        self.context, self.know, self.brief = context, know, brief
+        self.context, self.assume_at_head, self.brief = context, assume_at_head, brief
         self.functions = {f.name: f for f in program.functions}
         self.externs = {f.name: f for f in program.externs}
         self.runs: dict[tuple[object, ...], tuple[Val, list[LabelledFormula], tuple[Val, ...]]] = {}
@@ -104,7 +104,7 @@ class Functions:
         """Return a frame for the symbolic execution of a function, with its parameters set to `args`."""
         parameters = {p.name: p.type for p in function.parameters}
         types = {**parameters, **temps_of(function.block)}
-        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, encoding)
+        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.assume_at_head, encoding)
         frame.brief = self.brief
         frame.temps = dict(zip(parameters, args, strict=True))
         return frame
@@ -130,7 +130,7 @@ class Functions:
 
         Each ensured formula is paired with its line in the program."""
         types = {p.name: p.type for p in function.parameters}
-        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
+        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.assume_at_head)
         frame.temps = dict(zip(types, args, strict=True))
         required = [self.encoder.defined(formula, frame) for formula in function.requires]
         frame.temps["result"] = result

@@ -267,14 +267,14 @@ class Lists:
             case EnumeratedCollection(items, type_):
                 found = self._made(f"{type_}.of{len(items)}", self.leaves(items), sort)
                 if not _unordered(type_):
-                    self._tell(found, xs, [t.integer(i) for i in range(len(items))])
+                    self._add_facts(found, xs, [t.integer(i) for i in range(len(items))])
                 return found
             case UpdatedCollection(update, base, args):
                 found = self._made(f"{xs.type}.{update}", (self.term(base), *self.leaves(args)), sort)
                 places = (
                     [as_term(args[0])] if update == "updated" else [self.length(base)] if update == "appended" else []
                 )
-                self._tell(found, xs, places)
+                self._add_facts(found, xs, places)
                 return found
             case FleetValue(name):
                 return self._fleet(name, xs, sort)
@@ -284,7 +284,7 @@ class Lists:
     def _made(self, name: str, args: tuple[Term, ...], sort: Sort) -> Term:
         return t.apply(t.FunctionSymbol(name, tuple([a.sort for a in args]), sort), *args)
 
-    def _tell(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
+    def _add_facts(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
         """Add facts about the length and some elements of a collection for which a new term was made.
 
         SOUND: no fact is added if the update that made the collection is undefined. An example is the removal of an

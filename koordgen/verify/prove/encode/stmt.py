@@ -98,17 +98,17 @@ class SymbolicFrame:
     `now`: the state that the effect changes; None in a function.
     `seen`: the state from which shared variables are read; None in a function.
     `types`: the types of the local variables of the block.
-    `know`: receives each loop head and adds the facts that hold at the head.
+    `assume_at_head`: receives each loop head and adds the facts that hold at the head.
     `encoding`: chooses the encoding of a loop. If None, the number of the loop's elements decides."""
 
     def __init__(
         self, encoder: Encoder, pid: Term, now: SymbolicState | None, seen: SymbolicState | None,
         ask: Callable[[ir.PortCall, tuple[Val, ...]], Val], types: Mapping[str, Type],
-        know: Callable[[LoopHead], None], encoding: EncodingOf | None = None,
+        assume_at_head: Callable[[LoopHead], None], encoding: EncodingOf | None = None,
     ) -> None:  # fmt: skip
         self.e, self.context = encoder, encoder.context
         self.pid, self.now, self.seen = pid, now, seen
-        self.ask, self.types, self.know, self.encoding = ask, types, know, encoding
+        self.ask, self.types, self.assume_at_head, self.encoding = ask, types, assume_at_head, encoding
         self.env: Env = {}
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
@@ -117,7 +117,9 @@ class SymbolicFrame:
 
     def place(self) -> ProgramPoint:
         """Return the current program point, with a copy of all values."""
-        copy = SymbolicFrame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.encoding)
+        copy = SymbolicFrame(
+            self.e, self.pid, self.now, self.seen, self.ask, self.types, self.assume_at_head, self.encoding
+        )
         copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
         return ProgramPoint(copy, t.all_of(self.context.path), self.context.position, tuple(self.context.demands))
 
@@ -288,7 +290,7 @@ class SymbolicFrame:
         """Execute one iteration. Return the condition that the run reaches its end or a `continue`."""
         if isinstance(loop, stmt.For):
             assert element is not None
-            self.take(loop, element)
+            self.bind_element(loop, element)
         depth = len(self.context.path)
         live = self.block(loop.block)
         for left in [e for e in self.exits if e.kind == "continue"]:
@@ -298,7 +300,7 @@ class SymbolicFrame:
         self.exits = [e for e in self.exits if e.kind != "continue"]
         return live
 
-    def take(self, loop: stmt.For, element: Val) -> None:
+    def bind_element(self, loop: stmt.For, element: Val) -> None:
         parts = (element,) if len(loop.names) == 1 else element
         assert isinstance(parts, tuple)
         self.temps.update(zip(loop.names, parts, strict=True))
@@ -350,7 +352,7 @@ class SymbolicFrame:
 
         If an iteration leaves the loop, the iterations up to and including it run. Otherwise all iterations run."""
         any_ = self.context.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
-        self.looked_at(any_, over, not self.brief)
+        self.register_index(any_, over, not self.brief)
         taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
         around, self.exits = self.exits, []
         self.restore(start)
@@ -380,7 +382,7 @@ class SymbolicFrame:
         if over is not None:
             assert isinstance(loop, stmt.For)
             index = context.new(loop.names[0].split("@")[0], t.INT)
-            self.looked_at(index, over, not self.brief or self.now is not None)
+            self.register_index(index, over, not self.brief or self.now is not None)
             self.count(loop, index)
         head.turn = self.place()
         facts_of_turns(head, over, index, self.brief)
@@ -404,14 +406,14 @@ class SymbolicFrame:
         context.position += 1
         self.restore(start)
         self.heads.append(head)
-        self.know(head)
+        self.assume_at_head(head)
         return t.not_(condition)
 
-    def looked_at(self, index: Term, over: IterationDomain, told: bool) -> None:
+    def register_index(self, index: Term, over: IterationDomain, is_instantiated: bool) -> None:
         """Register an index for the instantiation of universal formulas.
 
-        If `told` is false, exclude the index from instantiation."""
-        if told:
+        If `is_instantiated` is false, exclude the index from instantiation."""
+        if is_instantiated:
             self.context.element(index, over.robots, over.places)
         else:
             self.context.ignored.add(index)
@@ -656,7 +658,7 @@ class _Turns:
         """Return a frame for one iteration, with the variables that depend only on its element."""
         assert self.over is not None and isinstance(self.loop, stmt.For)
         frame = self.before.place().frame
-        frame.take(self.loop, self.over.element(turn))
+        frame.bind_element(self.loop, self.over.element(turn))
         for place, let in enumerate(lets):
             if self.writes.is_fixed(let.value, tuple(lets[:place])):
                 frame.temps[let.name] = self.value(let.value, frame)

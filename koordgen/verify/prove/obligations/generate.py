@@ -261,7 +261,14 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
 
     assume_priority(part_encoder, event, own, now, round_start)
     frame = SymbolicFrame(
-        part_encoder.encoder, own, now, seen, ask, temps_of(event.effect), part_encoder.know, problem.loops.encoding
+        part_encoder.encoder,
+        own,
+        now,
+        seen,
+        ask,
+        temps_of(event.effect),
+        part_encoder.assume_at_head,
+        problem.loops.encoding,
     )
     frame.brief = part_encoder.brief
     with context.separate_demands() as demands:

@@ -68,7 +68,9 @@ def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event
     The condition includes that the guards of events with higher priority are false. A transaction (an event with a
     lock) also reads values that other robots wrote since the round's start. Therefore only the conjuncts of its guard
     that read the robot's own variables are used."""
-    frame = SymbolicFrame(part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.know)
+    frame = SymbolicFrame(
+        part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.assume_at_head
+    )
     parts = []
     with part_encoder.context.separate_demands():
         for part in conjuncts(event.guard):
@@ -93,7 +95,13 @@ def _is_functional(event: decl.Event, program: decl.Program) -> bool:
 
 def _wrote(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Env:
     frame = SymbolicFrame(
-        part_encoder.encoder, robot, round_start, round_start, _no_port, temps_of(event.effect), part_encoder.know
+        part_encoder.encoder,
+        robot,
+        round_start,
+        round_start,
+        _no_port,
+        temps_of(event.effect),
+        part_encoder.assume_at_head,
     )
     with part_encoder.context.separate_demands():
         frame.block(event.effect)

@@ -93,7 +93,7 @@ class InitRun:
 
         encoding = part_encoder.problem.loops.encoding
         self.frame = SymbolicFrame(
-            part_encoder.encoder, robot, launch, launch, ask, temps_of(init), part_encoder.know, encoding
+            part_encoder.encoder, robot, launch, launch, ask, temps_of(init), part_encoder.assume_at_head, encoding
         )
         self.frame.brief = part_encoder.brief
         with context.separate_demands() as self.demands, context.outermost(), context.about("init", 0):

@@ -89,7 +89,7 @@ class PartEncoder:
         self.params: dict[str, Val] = {}
         # id of an axiom's trigger -> number of calls at which the axiom has been instantiated
         self.looked: dict[int, int] = {}
-        self.functions = Functions(self.context, self.params, self.know, self.brief and not thorough)
+        self.functions = Functions(self.context, self.params, self.assume_at_head, self.brief and not thorough)
         self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:
@@ -158,7 +158,7 @@ class PartEncoder:
             case _:
                 self.context.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
-    def know(self, head: LoopHead) -> None:
+    def assume_at_head(self, head: LoopHead) -> None:
         """Assume the formulas at a loop's head, for all program points after the head.
 
         The formulas hold before each iteration and after the last iteration.

@@ -29,7 +29,9 @@ def assume_priority(
     for earlier in part_encoder.problem.program.earlier(event):
         with context.about(f"guard of {earlier.name} (earlier, by priority)", earlier.guard.span.line):
             with context.separate_demands() as demands:
-                frame = SymbolicFrame(part_encoder.encoder, own, now, round_start, _no_port, {}, part_encoder.know)
+                frame = SymbolicFrame(
+                    part_encoder.encoder, own, now, round_start, _no_port, {}, part_encoder.assume_at_head
+                )
                 guard = part_encoder.encoder.term(earlier.guard, frame)
             for demand in demands:
                 context.fact(demand.term)

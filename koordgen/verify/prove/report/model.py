@@ -77,7 +77,7 @@ class ModelStates:
     def value(self, cell: StateCell) -> Value:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
-    def state(self, moment: StateName) -> State:
+    def state(self, state_name: StateName) -> State:
         """Return one of the obligation's states of the fleet.
 
         A variable that the obligation does not mention has its initial value."""
@@ -87,7 +87,7 @@ class ModelStates:
         slots = {name: list(values) for name, values in first.store.slots.items()}
         cells = dict(first.store.cells)
         for cell in self.obligation.cells:
-            if cell.state_name != moment or cell.name in first.params:
+            if cell.state_name != state_name or cell.name in first.params:
                 continue
             if cell.robot is None:
                 if cell.name in cells:
@@ -105,8 +105,8 @@ class ModelStates:
         store = Store({name: tuple(values) for name, values in slots.items()}, cells)
         return first._replace(robots=robots, store=store, round=1)
 
-    def has(self, moment: StateName) -> bool:
-        return any(cell.state_name == moment for cell in self.obligation.cells)
+    def has(self, state_name: StateName) -> bool:
+        return any(cell.state_name == state_name for cell in self.obligation.cells)
 
 
 def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:

@@ -86,10 +86,10 @@ class Process:
             ends.append(at + len(word))
         return [next(when for count, when in self.times if count >= end) for end in ends]
 
-    def take(self, count: int) -> str:
+    def receive(self, count: int) -> str:
         """Return the first `count` bytes of the output as text, and drop the remaining output."""
-        said, self.read, self.times = self.read[:count], b"", []
-        return said.decode(errors="replace").strip()
+        output, self.read, self.times = self.read[:count], b"", []
+        return output.decode(errors="replace").strip()
 
     def kill(self) -> None:
         with suppress(ProcessLookupError):

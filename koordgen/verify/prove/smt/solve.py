@@ -52,9 +52,9 @@ class Batch:
         If several answers arrive at once, the first answer gets all the seconds. The result is empty if the output
         contains anything besides answers. Raises SolverFailed."""
         count = sum(goals for _, goals, _ in self.sent)
-        said, came = self.solver.rest(MARK, BRIEF * count)
-        words, marks = said[::2], said[1::2]
-        if len(said) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
+        output, came = self.solver.remaining_output(MARK, BRIEF * count)
+        words, marks = output[::2], output[1::2]
+        if len(output) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
             return {}
         found: dict[int, tuple[SatResult, float]] = {}
         at, last = 0, 0.0
@@ -205,8 +205,8 @@ class Solver:
         if not wanted and not core and len(self.parts(obligation)) > 1:
             return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
-        said = self._said(self.preamble(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
-        match said:
+        output = self._query(self.preamble(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
+        match output:
             case "unsat":
                 return SolverAnswer("unsat", 0.0, core=self._core(until) if core else ())
             case "sat":
@@ -214,7 +214,7 @@ class Solver:
             case "unknown":
                 return SolverAnswer("unknown", 0.0, self._why(limit, until))
             case _:
-                raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
+                raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(output)}{_exhausted(output)}")
 
     def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
         """Answer many obligations. Each answer has the same meaning as an answer of `ask`.
@@ -236,7 +236,9 @@ class Solver:
         answers: dict[int, SolverAnswer] = {}
         if self._process is not None and batch.sent:
             try:
-                answers = {key: SolverAnswer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
+                answers = {
+                    key: SolverAnswer(*output) for key, output in batch.answers().items() if output[0] != "unknown"
+                }
             except SolverFailed:
                 self.end()
         self.spent += sum(answer.seconds for answer in answers.values())
@@ -258,14 +260,14 @@ class Solver:
         parts = self.parts(obligation)
         text, (goals,) = together([obligation], [parts])
         asked = "".join([f"(push)\n{goal}(check-sat)\n(pop)\n" for goal in goals])
-        said = self._said(self.preamble(obligation.logic, False, False, limit) + text + asked, until).split("\n")
-        if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
+        output = self._query(self.preamble(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        if len(output) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(output):
             raise SolverFailed(
-                f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}"
+                f"{self.name} answered neither sat nor unsat: {_short(' '.join(output))}{_exhausted(output[0])}"
             )
-        if "sat" in said:
+        if "sat" in output:
             return SolverAnswer("sat", 0.0)
-        if "unknown" in said:
+        if "unknown" in output:
             return SolverAnswer(
                 "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
             )
@@ -291,37 +293,37 @@ class Solver:
     def _values(self, names: list[str], until: float) -> tuple[ModelValue, ...]:
         if not names:
             return ()
-        said = self._said(f"(get-value ({' '.join(names)}))\n", until)
+        output = self._query(f"(get-value ({' '.join(names)}))\n", until)
         try:
-            return tuple(values(said, len(names)))
+            return tuple(values(output, len(names)))
         except Unreadable as error:
             raise SolverFailed(f"{self.name} answered sat with an unusable model: {error}") from None
 
     def _core(self, until: float) -> tuple[int, ...]:
-        said = self._said("(get-unsat-core)\n", until).strip("()").split()
-        return tuple(sorted(int(name.removeprefix("fact!")) for name in said if name.startswith("fact!")))
+        output = self._query("(get-unsat-core)\n", until).strip("()").split()
+        return tuple(sorted(int(name.removeprefix("fact!")) for name in output if name.startswith("fact!")))
 
     def _why(self, limit: float, until: float) -> str:
-        said = (
-            self._said("(get-info :reason-unknown)\n", until).removeprefix("(:reason-unknown").rstrip(")").strip(' "')
+        output = (
+            self._query("(get-info :reason-unknown)\n", until).removeprefix("(:reason-unknown").rstrip(")").strip(' "')
         )
-        if "timeout" in said or "cancel" in said:
+        if "timeout" in output or "cancel" in output:
             return f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
-        return f"{self.name} cannot decide the obligation: {_short(said) or 'no reason given'}{_exhausted(said)}"
+        return f"{self.name} cannot decide the obligation: {_short(output) or 'no reason given'}{_exhausted(output)}"
 
     def _warm(self, until: float) -> None:
         if self._warming:
             self._warming = False
-            self._heard("koordgen-0", until)
+            self._output_before("koordgen-0", until)
 
-    def _said(self, text: str, until: float) -> str:
+    def _query(self, text: str, until: float) -> str:
         """Send commands and return the solver's output for these commands. Raises SolverFailed."""
         self._asked += 1
         end = f"koordgen-{self._asked}"
         self.send(f'{text}(echo "{end}")\n')
-        return self._heard(end, until)
+        return self._output_before(end, until)
 
-    def rest(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
+    def remaining_output(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
         """Wait for all output since the last query.
 
         Returns the lines of the output, and the arrival time of each mark in the output. Raises SolverFailed."""
@@ -332,7 +334,7 @@ class Solver:
         limit = min(seconds, self.limits.query, self.limits.total - self.spent)
         place = self._waited(end, time.monotonic() + limit + GRACE)
         came = self._process.came(mark)
-        lines = [line.strip('"\r') for line in self._process.take(place).split("\n")]
+        lines = [line.strip('"\r') for line in self._process.receive(place).split("\n")]
         if self._warming:
             self._warming = False
             lines = lines[2:] if lines[:2] == ["sat", "koordgen-0"] else []
@@ -346,10 +348,10 @@ class Solver:
         except ProcessEnded:
             raise SolverFailed(self._obituary()) from None
 
-    def _heard(self, end: str, until: float) -> str:
+    def _output_before(self, end: str, until: float) -> str:
         """Return the output before the word `end`, which an `(echo)` command prints. Raises SolverFailed."""
         assert self._process is not None
-        return self._process.take(self._waited(end, until))
+        return self._process.receive(self._waited(end, until))
 
     def _waited(self, end: str, until: float) -> int:
         """Send pending commands and read output until the solver has echoed the word `end`.
@@ -381,18 +383,18 @@ class Solver:
         return f"{self.name} {how} during a query{f', with the output: {words}' if words else ''}{hint}"
 
 
-def _ended(said: bytes, end: bytes) -> int | None:
+def _ended(output: bytes, end: bytes) -> int | None:
     """Return the position before the last line, if the last line is the word `end`; otherwise None.
 
     Solvers may put the word in quotes."""
-    if not said.endswith(b"\n"):
+    if not output.endswith(b"\n"):
         return None
-    start = said.rfind(b"\n", 0, len(said) - 1) + 1
-    return max(0, start - 1) if said[start:].strip(b"\r\n").strip(b'"') == end else None
+    start = output.rfind(b"\n", 0, len(output) - 1) + 1
+    return max(0, start - 1) if output[start:].strip(b"\r\n").strip(b'"') == end else None
 
 
-def _exhausted(said: str) -> str:
-    return " (its memory is limited)" if "memory" in said or "bad_alloc" in said else ""
+def _exhausted(output: str) -> str:
+    return " (its memory is limited)" if "memory" in output or "bad_alloc" in output else ""
 
 
 def _short(text: str) -> str:
