@@ -31,7 +31,7 @@ from koordgen.verify.prove.smt.term import Term
 class Functions:
     """Functions of a program in one proof context.
 
-    `assume_at_head`: receives the head of each loop that is not unrolled, and adds the facts that hold at the head.
+    `assume_at_head`: receives the head of each loop with the encoding "cut", and adds the facts at the head.
     `brief`: True to add no facts about the results of functions with such loops. Most proofs do not need these
     facts."""
 

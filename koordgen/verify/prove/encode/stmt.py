@@ -566,8 +566,8 @@ class _Turns:
         else:
             self.context.fact(t.at_most(now, most) if rises else t.at_most(most, now))
 
-    # Rule "last written": a variable with a single writing statement has its value at loop entry, or the value from an
-    # earlier iteration of the statement.
+    # Rule "last written": a variable with a single writing statement has its value at loop entry, or the value that
+    # the statement wrote in an earlier iteration.
 
     def last_written(self, group: Sequence[LoopWrite]) -> None:
         fixed = [write for write in group if self.writes.is_fixed(write.value, write.lets)]

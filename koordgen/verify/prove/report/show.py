@@ -100,7 +100,9 @@ def filled(text: str, first: str, rest: str) -> list[str]:
     """Break a text into lines of at most WIDTH columns.
 
     `first`: the prefix of the first line.
-    `rest`: the prefix of every other line. The module textwrap is not used, because its import takes 0.7 ms."""
+    `rest`: the prefix of every other line.
+
+    The module textwrap is not used, because its import takes 0.7 ms."""
     lines, line = [], ""
     for word in text.split():
         if line and len(line) + 1 + len(word) > WIDTH:
@@ -127,7 +129,7 @@ def suggestion(verdict: InvariantVerdict) -> str:
             return f"{said}; add an `assume` about the sensor to its module"
         supposed = " and ".join(f"`{assumption}`" for assumption in explanation.supposed)
         more = f", and {added} in {verdict.invariant}" if added else ""
-        return f"{said}; with {supposed}{more} it is PROVED"
+        return f"{said}; with {supposed}{more} the invariant is PROVED"
     return f"add {added} to {verdict.invariant}: then it is PROVED" if added else ""
 
 

@@ -229,7 +229,7 @@ class _Script:
         return self._given[key]
 
     def others(self) -> Iterator[tuple[int, ...]]:
-        """Yield longer scripts: each gives a later answer than the first to one call beyond the script."""
+        """Yield longer scripts. Each new script selects another answer than the first for one further call."""
         for place in range(len(self._scripted), len(self._options)):
             begin = (*self._scripted, *([0] * (place - len(self._scripted))))
             yield from ((*begin, other) for other in range(1, self._options[place]))

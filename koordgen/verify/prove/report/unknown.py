@@ -57,7 +57,7 @@ def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
         return
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
-        within: set[ir.Expr] = set()  # operations inside expressions that were already yielded
+        within: set[ir.Expr] = set()  # binary operations inside expressions that were yielded before
         for node in walk(part):
             match node:
                 case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):

@@ -162,7 +162,7 @@ def _asked(
     ]
     for detail in more:
         if all(outcome.holds or outcome.obligation.too_large for outcome in found):
-            break  # with more facts, formulas that are too large would be even larger
+            break  # more facts would only enlarge formulas that are too large already
         others = {o.name: o for o in obligations(program, robots, params, detail, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found

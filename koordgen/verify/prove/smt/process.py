@@ -62,7 +62,7 @@ class Process:
             pass
 
     def exchange(self, wait: float) -> bool:
-        """Write input or read output within `wait` seconds. Return whether any was possible.
+        """Write input or read output within `wait` seconds. Return whether a pipe was ready.
 
         Raises ProcessEnded."""
         ready = select.select([self.source], [self.sink] if self.unsent else [], [], wait)
