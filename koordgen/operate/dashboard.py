@@ -2,7 +2,7 @@
 
 Each robot has its own thread, so a robot that does not answer, or a slow name lookup, delays no other robot. As long as
 a robot answers, its report is shown at most EVERY + WITHIN seconds after the agent made it.
-Nothing is changed on any robot.
+The requests change nothing on any robot.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from koordgen.operate.estop import Fleet, Place
 from koordgen.operate.status import Asked, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one status request to a robot to the next
-WITHIN = 0.5  # seconds to wait for an answer
+WITHIN = 0.5  # seconds that a robot has to answer a request
 
 Take = Callable[[int, Asked], None]
 
@@ -35,7 +35,7 @@ class Poller:
     def __init__(self, fleet: Fleet, key: bytes | None, take: Take) -> None:
         self._fleet, self._key, self._take = fleet, key, take
         self._over = threading.Event()
-        self._last: dict[int, Asked] = {}  # the last answer of each robot that ever answered
+        self._last: dict[int, Asked] = {}  # last answer of each robot that has answered
         self._threads = [
             threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet.places))
         ]
@@ -53,7 +53,7 @@ class Poller:
 
     @property
     def odd(self) -> frozenset[str]:
-        """Names of the robots whose release, by their last answers, differs from that of most robots."""
+        """Return the robots whose release, in their last answer, differs from the release of most robots."""
         return frozenset(odd_releases(list(self._last.values())))
 
     def _ask(self, index: int) -> None:
@@ -68,10 +68,10 @@ class Poller:
 
 
 class Facts(Node):
-    """Facts about a fleet that its robots do not report.
+    """Facts about a fleet that the robots do not report themselves.
 
     fleet: the robots in the order of their process ids (pid: index of a robot in the fleet).
-    plain: plain values: obstacles, world, the targets by robot.
+    plain: JSON-like values: obstacles, world, and the target of each robot.
     """
 
     fleet: Fleet

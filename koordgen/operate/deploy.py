@@ -34,7 +34,8 @@ from koordgen.operate.release import (
 )
 from koordgen.operate.wheels import CannotFetch, WheelSet, platform_of, wheel_set
 
-CONFIRM_WITHIN = 60.0  # seconds from the switch to the end of `prepare`; as many are added for `confirm`
+# seconds from the switch to the end of `prepare`; `confirm` gets the same number of seconds in addition
+CONFIRM_WITHIN = 60.0
 MOST_CLOCK_ERROR = 60.0  # largest difference in seconds between a host's clock and this computer's clock
 NOTHING_CHANGED = "nothing was changed: every robot keeps its release"
 
@@ -42,7 +43,7 @@ Say = Callable[[str], None]
 
 
 class Failed(Exception):
-    """A deployment failed, or the user interrupted it (then `errors` is empty).
+    """Raised if a deployment fails, or if the user interrupts it (then `errors` is empty).
 
     `outcome` says in one sentence which release every robot has now.
     """
@@ -54,11 +55,11 @@ class Failed(Exception):
 
 
 class Missed(Failed):
-    """Some hosts confirmed the release, and others missed phase two."""
+    """Raised if some hosts confirmed the release and other hosts missed phase two."""
 
 
 class Interrupted(Exception):
-    """The user interrupted a phase. `results`: the results and the failures of that phase."""
+    """Raised if the user interrupted a phase. `results`: results and failures of that phase."""
 
     def __init__(self, results: tuple[dict[Host, Any], list[HostError]]) -> None:
         super().__init__("interrupted")
@@ -68,8 +69,8 @@ class Interrupted(Exception):
 class Deployed(Node):
     """Result of a deployment.
 
-    release: the release that all hosts have now.
-    before: the release that each host had before; None: none.
+    release: id of the release that all hosts have now.
+    before: release that each host had before; None if the host had no release.
     changed: hosts that were switched.
     seconds: duration of each phase.
     sent: bytes that were sent to each host.
@@ -191,7 +192,7 @@ async def _with_sessions(
             phases = Phases(opened, say)
             phases.seconds["connect"] = time.monotonic() - began
             done = await run(phases)
-    except asyncio.CancelledError:  # Ctrl-C before the switch, or when all is done
+    except asyncio.CancelledError:  # Ctrl-C before the switch began, or after the deployment ended
         if done is None:
             raise Failed(()) from None
     assert done is not None
@@ -229,7 +230,7 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
     The host gave its answer between `before` and `after`, in seconds since 1970 by this computer's clock.
     """
     if not answer["writable"]:
-        help = "an SD card that fails becomes read-only: look at `dmesg`, then mount it for writing"
+        help = "a failing SD card becomes read-only: read `dmesg` on the host, then mount the card for writing"
         raise HostError(host, "read-only", f"{answer['folder']} cannot be written", help)
     flying = {name: robot for name, robot in answer["robots"].items() if robot["running"]}
     if flying:
@@ -239,12 +240,12 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
     error = min(0.0, answer["clock"] - before) + max(0.0, answer["clock"] - after)
     if abs(error) > MOST_CLOCK_ERROR:
         side = "behind" if error < 0 else "ahead of"
-        help = f"`ssh {host.login.user}@{host.login.name} sudo date -u --set=@{after:.0f}` sets it"
+        help = f"`ssh {host.login.user}@{host.login.name} sudo date -u --set=@{after:.0f}` sets the clock"
         message = f"its clock is {abs(error):.0f} s {side} this computer's; at most {MOST_CLOCK_ERROR:g} s are allowed"
         raise HostError(host, "clock", message, help)
     if service == "systemd" and not answer["linger"]:
         message = f"{answer['user']}'s services would end there when {answer['user']} logs out"
-        help = f"run `sudo loginctl enable-linger {answer['user']}` there, or say `deploy: {{service: none}}`"
+        help = f"run `sudo loginctl enable-linger {answer['user']}` on the host, or set `deploy: {{service: none}}`"
         raise HostError(host, "linger", message, help)
 
 
@@ -259,7 +260,8 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
             confirmed = inspected[session.host]["deployment"]["confirmed"]
             document = (await session.call("release", id=confirmed))["release"]
         except HostError as error:
-            if error.code == "missing":  # the release's files were deleted; this deployment makes new ones
+            # the files of the host's release were deleted; this deployment installs new files
+            if error.code == "missing":
                 return
             raise
         strange = [name for name in document["robots"] if name not in built.bundles]
@@ -267,7 +269,7 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
         if strange or other:
             whose = f"application_id {document['application_id']}" if other else f"robots {', '.join(strange)}"
             message = f"it has a release of another fleet: {document['app']}, {whose}"
-            help = "name another `deploy: {folder: ...}`, or replace that fleet with --take-over"
+            help = "name another folder: `deploy: {folder: ...}`, or replace the other fleet with --take-over"
             raise HostError(session.host, "other fleet", message, help)
 
     if deployed:
@@ -275,7 +277,10 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
 
 
 async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
-    """Return the wheels for each host; None for each if the fleet file says `wheels: host`. Raises Failed."""
+    """Return the wheels for each host: None for every host if the fleet file says `wheels: host`.
+
+    Raises Failed.
+    """
     if built.wheels == "host":
         return {each.host: None for each in phases.hosts}
     folder = None if built.wheels == "index" else built.folder / built.wheels
@@ -303,7 +308,7 @@ async def _send(
     sets: Mapping[Host, WheelSet | None],
     key: bytes | None,
 ) -> None:
-    """Send each host the files that it lacks, and stage its part of the release. It is not current yet."""
+    """Send each host its missing files, and stage its part of the release, without a switch to it."""
     packed: dict[tuple[str, ...], Any] = {}
 
     def pack(contents: list[tuple[str, str, bytes]]) -> Any:
@@ -359,7 +364,7 @@ async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -
 
 
 async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
-    """Revert all hosts to the releases before; return one sentence that says which releases they have."""
+    """Revert all hosts to their previous releases; return a sentence that names the robots' releases."""
     _, failed = await phases.attempt("revert", lambda each: each.call("revert", id=name), late)
     if not failed:
         return NOTHING_CHANGED
@@ -371,7 +376,7 @@ async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
 
 
 async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
-    """Run phase two on all hosts, even after an interrupt: fewer hosts remain to be repaired.
+    """Run phase two on all hosts, even after an interrupt, so that few hosts have to be repaired.
 
     Raises Missed.
     """
@@ -392,7 +397,7 @@ async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
 
 
 def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Deployed:
-    """Roll all hosts back to the release `to`, or else to the latest other release that all still have.
+    """Roll all hosts back to the release `to`, else to the latest earlier release that all still have.
 
     Raises Failed, Missed, NoHosts.
     """
@@ -402,12 +407,13 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
         name = _common_release(inspected, to)
 
         async def check(session: Session) -> None:
-            await session.call("verify", id=name, load=False)  # loading was checked when the release was deployed
+            # the deployment of the release already checked that it loads
+            await session.call("verify", id=name, load=False)
             document = (await session.call("release", id=name))["release"]
             _refuse_robots(session.host, document)
             if document["key"] != key_id(key):
-                message = f"release {name} has another key than the one given"
-                help = "after a rotation the key before is in the key's file with `.before` added: name it with --key"
+                message = f"release {name} has a different key from the given key"
+                help = "a rotation copies the previous key to a file whose name ends in `.before`: name it with --key"
                 raise HostError(session.host, "key", message, help)
 
         await phases.phase("verify", check)
@@ -417,7 +423,7 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
 
 
 def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
-    """Return the release to roll back to: `to`, or the newest one that all hosts have and not all run.
+    """Return the target of a rollback: `to`, or the newest release on all hosts that some do not run.
 
     Raises Failed.
     """
@@ -429,14 +435,14 @@ def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
         lacking = [host for host, history in histories.items() if to not in history]
         if lacking:
             raise Failed(
-                HostError(host, "missing", f"release {to} is not there; it has {', '.join(histories[host]) or 'none'}",
+                HostError(host, "missing", f"the host has no release {to}, but {', '.join(histories[host]) or 'none'}",
                           "`koordgen deploy` builds and deploys any program") for host in lacking
             )  # fmt: skip
         return to
     candidates: list[str] = [name for name in common if confirmed != {name}]
     if not candidates:
         help = "`koordgen deploy` deploys the program that you want"
-        message = "there is no release before the present one that all hosts of the fleet have"
+        message = "no earlier release is still on all hosts of the fleet"
         raise Failed(HostError(host, "missing", message, help) for host in list(histories)[:1])
     return candidates[-1]
 
@@ -448,7 +454,10 @@ def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
 
 
 def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Deployed:
-    """Give all hosts a new key, as a new release with the same bundles. Raises Failed, Missed, NoHosts."""
+    """Install a new key on all hosts, as a new release with the same bundles.
+
+    Raises Failed, Missed, NoHosts.
+    """
 
     async def run(phases: Phases) -> Deployed:
         inspected = await _begin(phases, "key rotate")
@@ -472,10 +481,13 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Dep
 
 
 async def _present(session: Session, inspected: Answer) -> Answer:
-    """Return the confirmed release of a host. Raises HostError if it has none, or one of other robots."""
+    """Return the confirmed release of a host.
+
+    Raises HostError if the host has no release, or a release of other robots.
+    """
     confirmed = inspected["deployment"]["confirmed"]
     if confirmed is None:
-        raise HostError(session.host, "missing", "no release is there", "run `koordgen deploy` first")
+        raise HostError(session.host, "missing", "the host has no release", "run `koordgen deploy` first")
     answer = await session.call("release", id=confirmed)
     _refuse_robots(session.host, answer["release"])
     return answer
@@ -497,6 +509,6 @@ def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mappin
     if odd:
         help = "run `koordgen deploy` first, which repairs the fleet"
         raise Failed(
-            HostError(host, "mixed", f"its release {documents[host]['id']} is not that of the other robots", help)
+            HostError(host, "mixed", f"its release {documents[host]['id']} differs from that of the other robots", help)
             for host in odd
         )

@@ -25,10 +25,11 @@ from koordgen.lang.node import Node
 from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
 from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
 
-BY_HAND = "stop them by hand, now: remote control, kill switch, or cut their power"
+BY_HAND = "stop these robots by hand now: by remote control, by kill switch, or by cutting their power"
 NO_ANSWER = "no answer"
 PATIENCE = 3.0  # seconds for which all robots are called before those without an answer are reported
-STALE_OFFER = 0.3  # seconds without an answer to the stop before a new challenge is requested: agents may restart
+# Seconds without an answer to the stop before a new challenge is requested, because the agent may have restarted.
+STALE_OFFER = 0.3
 # Period in seconds between two stop requests to one robot: _EACH times the number of robots, but at least _SHORTEST.
 _SHORTEST, _EACH = 0.01, 0.0005
 
@@ -42,7 +43,7 @@ class Place(Node):
 
 
 class Called(Node):
-    """Result of one robot's stop.
+    """Result of the stop request to one robot.
 
     place: address that was called.
     phase: phase that the agent reported; empty without an answer.
@@ -57,7 +58,7 @@ class Called(Node):
 
 
 class CannotStop(Exception):
-    """No robot was called, because the fleet file or the key cannot be used."""
+    """Raised if no robot was called, because the fleet file or the key cannot be used."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -65,11 +66,11 @@ class CannotStop(Exception):
 
 
 class BadAddress(CannotStop):
-    """An address given by hand is not HOST:PORT."""
+    """Raised if an address from the command line is not HOST:PORT."""
 
 
 class Fleet(Node):
-    """Robots to be called, and what is needed to authenticate.
+    """Robots to be stopped, and the data that authenticate the stop.
 
     places: control ports of the robots.
     application: application_id of the fleet file.
@@ -89,7 +90,7 @@ def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
     If the fleet file cannot be parsed, all addresses in its text and all robots of the last build are returned.
     """
     if path.is_dir():
-        return _built(path, CannotStop(f"{path}: no folder of a robot is in it (its settings.json is looked for)"))
+        return _built(path, CannotStop(f"{path}: this folder contains no robot's folder with a settings.json"))
     text = ""
     try:
         text = path.read_bytes().decode("utf-8", "replace")
@@ -167,7 +168,7 @@ def _values(text: str, key: str) -> Iterator[str]:
 def _last_build(folder: Path) -> tuple[Path, Fleet] | None:
     """Return the latest build in `build/`, beside the fleet file or in the working directory.
 
-    None without one.
+    Returns None if there is no build.
     """
     built = [each for place in {folder / "build", Path("build")} for each in _folders(place)]
     for application in sorted(built, key=lambda each: each.stat().st_mtime, reverse=True):
@@ -185,7 +186,7 @@ def _folders(place: Path) -> list[Path]:
 def _built(folder: Path, nobody: CannotStop) -> Fleet:
     """Return the robots of a build folder, or the one robot of a robot's folder.
 
-    Raises `nobody` without any robot.
+    Raises `nobody` if there is no robot.
     """
     places, application, key = [], 0, ""
     harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
@@ -235,7 +236,7 @@ def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
             if len(key) == KEY_SIZE:
                 warn(f"warning: {error}")
                 return key
-        raise CannotStop(str(error), "`--key FILE` names another; ") from None
+        raise CannotStop(str(error), "name another key file with `--key FILE`; ") from None
 
 
 class Stopping:
@@ -289,7 +290,7 @@ def stop_fleet(
         except CannotStop as error:
             if not places:
                 raise
-            warn(f"warning: {error}; calling only those that --address names")
+            warn(f"warning: {error}; only the robots at the addresses of --address are called")
     known = {(place.host, place.port) for place in places}
     places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
     key = find_key(fleet, path, key_path, warn)
@@ -341,7 +342,7 @@ def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patien
 
 def _stop(place: Place, stopping: Stopping, every: float, began: float, patience: float) -> Called:
     if not place.port:
-        return Called(place, "", 0.0, "the fleet file has no address for it")
+        return Called(place, "", 0.0, "the fleet file has no address for the robot")
     try:
         found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
@@ -357,7 +358,7 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
             except TimeoutError:
                 continue
             except ConnectionRefusedError:
-                note = f"{NO_ANSWER}: no agent runs there"
+                note = f"{NO_ANSWER}: no agent runs at this address"
                 time.sleep(every)
             except OSError as error:
                 note = f"{NO_ANSWER}: {error.strerror or error}"

@@ -22,7 +22,7 @@ class Examined(Node):
 
     status: exit status.
     findings: results of the checks, in the format of the command's JSON document.
-    problem: reason why there are no findings; empty if there are.
+    problem: reason why `findings` is empty; "" if `doctor` ran.
     """
 
     robot: str
@@ -67,7 +67,7 @@ def _problem(error: HostError) -> str:
 
 
 def worst(examined: Sequence[Examined]) -> int:
-    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files), or 0 (no problem)."""
+    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files) or 0 (no problem)."""
     return max((each.status for each in examined), default=0)
 
 

@@ -1,4 +1,4 @@
-"""State of the computers of robots whose agents do not answer, asked over SSH."""
+"""State of robots whose agents do not answer, as their hosts report it over SSH."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Installed(Node):
 
     @property
     def note(self) -> str:
-        """Return the state as a text for messages."""
+        """Return the robot's state as text for messages."""
         agent = (
             f"its agent runs ({self.phase or 'phase unknown'}), but does not answer"
             if self.running
@@ -50,7 +50,7 @@ class Installed(Node):
 
 
 async def installed(sessions: Sessions) -> tuple[dict[str, Installed], dict[str, HostError]]:
-    """Ask all hosts; return, by robot, the states, and the failures of hosts that did not answer."""
+    """Ask all hosts; return each robot's state, and the failures of hosts by robot."""
     answers, failed = await sessions.call("inspect")
     found = {robot: of_robot(robot, answer) for host, answer in answers.items() for robot in host.robots}
     return found, {robot: error for error in (*sessions.failed, *failed) for robot in error.host.robots}

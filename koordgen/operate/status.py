@@ -32,7 +32,7 @@ _COLUMNS = (
 class Asked(Node):
     """Answer of one robot.
 
-    place: control port that was asked.
+    place: address and port to which the request was sent.
     report: status report of the agent; None without an answer.
     after: seconds until the answer.
     note: reason why there is no answer, or what is wrong with the answer.
@@ -71,7 +71,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
     `began` is a monotonic time.
     """
     if not place.port:
-        return Asked(place, None, 0.0, "the fleet file has no address for it")
+        return Asked(place, None, 0.0, "the fleet file has no address for the robot")
     try:
         family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
@@ -88,7 +88,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
             except TimeoutError:
                 continue
             except ConnectionRefusedError:
-                note = "no answer: no agent runs there"
+                note = "no answer: no agent runs at this address"
                 time.sleep(_REPEAT)
             except OSError as error:
                 note = f"no answer: {error.strerror or error}"
@@ -112,7 +112,10 @@ def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
 
 
 def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed: Mapping[str, str]) -> list[Asked]:
-    """Return the answers; those of silent robots get their host's state (`found`) or failure (`failed`)."""
+    """Return the answers, completed for robots that did not answer.
+
+    Their answers get the state of their host (`found`), or the failure of their host (`failed`).
+    """
     return [
         replace(a, host=found[a.place.name], note=found[a.place.name].note)
         if a.place.name in found
@@ -136,7 +139,8 @@ def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
     A release may be running or installed. The result is empty when all releases are equal. A fleet with several
     releases cannot begin a mission.
     """
-    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}  # release ids differ with the key, too
+    # release ids also depend on the key, so hosts with different keys have different ids
+    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}
     builds = {a.place.name: release_of(a) for a in answers if a.report is not None or a.host is not None}
     return _odd(hosts) | _odd(builds)
 
@@ -170,7 +174,7 @@ def table(answers: Sequence[Asked]) -> str:
     lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     if odd := odd_releases(answers):
         named = ", ".join(f"{name} ({release[:8] or 'none'})" for name, release in odd.items())
-        lines.append(f"other releases than the rest: {named}; a mission begins only among robots of one release")
+        lines.append(f"robots whose release differs from most: {named}; a mission needs one release on all robots")
     return "\n".join(lines)
 
 
@@ -200,7 +204,7 @@ def _row(asked: Asked) -> tuple[str, ...]:
 def _silent_row(asked: Asked) -> tuple[str, ...]:
     """Return the row of a robot whose agent gave no answer.
 
-    It shows its host's answer if the host was asked.
+    The row shows the answer of the robot's host if the host was asked.
     """
     note = f"{asked.note} ({asked.place.host}:{asked.place.port})"
     if (host := asked.host) is None:

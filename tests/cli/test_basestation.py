@@ -207,7 +207,7 @@ def test_a_system_that_goes_ends_it(
     fake(monkeypatch, fails=True)
     assert main(["basestation", str(written(tmp_path)), "--system", "vicon", "--host", "h"]) == 5
     told = capsys.readouterr()
-    assert "the motion capture system is gone: connection lost" in told.err and told.out == ""
+    assert "the motion capture system failed: connection lost" in told.err and told.out == ""
 
 
 def test_without_the_package(

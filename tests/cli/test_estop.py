@@ -150,10 +150,10 @@ def test_what_people_read(
     told = capsys.readouterr()
     lines = told.out.splitlines()
     assert lines[0].startswith("alice  is stopping: it lands or brakes, answered after ")
-    assert lines[2].startswith("cleo   NO ANSWER: no agent runs there (127.0.0.1:")
+    assert lines[2].startswith("cleo   NO ANSWER: no agent runs at this address (127.0.0.1:")
     assert told.err == (
         "error: 1 of 3 robots did not answer\n"
-        "  help: stop them by hand, now: remote control, kill switch, or cut their power\n"
+        "  help: stop these robots by hand now: by remote control, by kill switch, or by cutting their power\n"
     )
 
 
@@ -225,7 +225,7 @@ def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> No
     ]
     assert (fleet.application, fleet.key) == (9, "")
     results = estop.stop_all(fleet.places[:2], 9, None, 0.1)
-    assert [r.note for r in results] == ["the fleet file has no address for it"] * 2
+    assert [r.note for r in results] == ["the fleet file has no address for the robot"] * 2
 
 
 ONE_LINE = """robots: [{name: al, target: quad, address: '10.0.0.1:47100'}, {address: 10.0.0.2:47101, name: bo}]

@@ -116,9 +116,9 @@ def test_no_take_off_with_an_autopilot_that_would_not_land_when_the_agent_dies()
     rig.quad.start(rig.now)
     rig.run(12.0)
     assert rig.quad.progress == (
-        "not taking off: FS_GCS_ENABLE is 0, wanted 5: else the vehicle does not land when the agent dies (set it "
-        "by a ground station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` "
-        "takes off all the same)"
+        "not taking off: FS_GCS_ENABLE is 0, wanted 5: else the vehicle does not land when the agent dies "
+        "(correct them with a ground station, or switch on a pilot's remote control; with the robot's setting "
+        "`allow_no_failsafe: true` the robot takes off without either)"
     )
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and not sent(rig, SET)
     (found,) = (f for f in rig.agent().diagnose() if f.name == "FS_GCS_ENABLE")

@@ -357,11 +357,11 @@ raise SystemExit(main())
 @pytest.mark.parametrize(
     "words",
     [
-        "its host key is not in known_hosts", "its host key is not the one in known_hosts", "it refuses your SSH keys",
-        "no address is known", "did not answer within", "refuses connections", "and agents need 64 bits",
+        "key is not in known_hosts", "key differs from the key in known_hosts", "the host refuses your SSH keys",
+        "no address is known", "did not answer within", "refuses connections", "but agents need a 64-bit processor",
         "there is no wheel of", "agents run there", "works here since", "it has a release of another fleet", "no space",
         "cannot be written", "the disk of this host is read-only", "behind", "services would end there when",
-        "its bundle does not load", "the link was cut", "its login shell prints too much", "is not understood",
+        "its bundle does not load", "the link was cut", "the login shell prints more than", "is not understood",
     ],
 )  # fmt: skip
 def test_the_messages_of_the_page_are_those_of_the_code(words: str) -> None:

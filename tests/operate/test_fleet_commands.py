@@ -75,7 +75,7 @@ def test_agents_are_started_and_stopped_and_their_lines_are_shown(
     assert run(fleet, "start", "alice", "cleo") == 0
     assert re.fullmatch(r"started alice, cleo, release [0-9a-f]{8}\n", capfd.readouterr().out)
     assert run(fleet, "start") == 0
-    assert "started bert" in (said := capfd.readouterr().out) and "running before: alice, cleo" in said
+    assert "started bert" in (said := capfd.readouterr().out) and "running already: alice, cleo" in said
     assert run(fleet, "stop", "bert") == 0
     assert capfd.readouterr().out == "stopped bert\n"
     assert run(fleet, "stop") == 0

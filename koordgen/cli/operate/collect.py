@@ -37,7 +37,7 @@ def collect(options: Namespace) -> int:
         errors = [error for error in found.missed.values() if isinstance(error, HostError)]
         names = [robot.name for robot in fleet.robots if robot.name in found.missed]
         said = "\n".join(f"  {_why(name, found)}" for name in names)
-        help = "the same command again fetches what is missing, and nothing else"
+        help = "run the same command again; it fetches only the missing files"
         raise console.Failure(status_of(errors), f"missed {', '.join(names)}\n{said}", help)
     if not merged:
         raise console.Failure(

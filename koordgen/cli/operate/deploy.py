@@ -60,7 +60,7 @@ def _new_key(options: Namespace) -> int:
     try:
         _write_key(Path(options.file), secrets.token_bytes(32))
     except FileExistsError:
-        help = "a key is never overwritten; choose another name, or change it with `koordgen key rotate FLEET`"
+        help = "a key is never overwritten; choose another name, or run `koordgen key rotate FLEET`"
         raise console.Failure(console.SURROUNDINGS, f"{options.file} exists", help) from None
     print(f"{options.file}: keep it beside the fleet file; `koordgen deploy` brings it to every robot")
     return console.HOLDS
@@ -78,7 +78,7 @@ def _rotate(options: Namespace) -> int:
     fleet = ssh.read_fleet(options.file)
     if not fleet.key:
         raise console.Failure(
-            console.WRONG, f"{options.file}: the fleet is insecure, so it has no key", "set `key` instead"
+            console.WRONG, f"{options.file}: the fleet has no key: it is insecure", "set `key` instead"
         )
     hosts, connecting = ssh.fleet_hosts(fleet, options.file), ssh.connection(options)
     options.fleet = options.file
@@ -104,7 +104,7 @@ def _rotate(options: Namespace) -> int:
 
     status = _run(options, finish)
     if status == console.HOLDS and options.format == "text":
-        print(f"{old} is the new key; {before} is the one before, for a rollback. Copy {old} to all who stop the fleet")
+        print(f"{old} is the new key; {before} is the previous one. Copy {old} to every computer that stops the fleet")
     return status
 
 
@@ -115,8 +115,8 @@ def _take_place(old: Path, before: Path, waiting: Path) -> None:
         _write_key(before, old.read_bytes())
         os.replace(waiting, old)
     except OSError as error:
-        message = f"all robots have the key in {waiting}, but it could not take the place of {old}: {error.strerror}"
-        raise console.Failure(console.SURROUNDINGS, message, "run the command again: it only moves the files") from None
+        message = f"all robots have the key in {waiting}, but the file cannot be renamed to {old}: {error.strerror}"
+        raise console.Failure(console.SURROUNDINGS, message, "run the command again; it only renames files") from None
 
 
 def _with(path: Path, ending: str) -> Path:
@@ -233,5 +233,5 @@ def _as_text(done: Deployed) -> str:
     size = f"{sent / 1e6:.1f} MB sent, {took:.1f} s"
     named = f"{robots} robot{'s' if robots != 1 else ''}"
     if not done.changed:
-        return f"release {done.release}: {named} had it already; {size}"
+        return f"release {done.release}: already on {named}; {size}"
     return f"release {done.release}: on {named}, confirmed; {size}"
