@@ -28,6 +28,7 @@ RATE = 50.0  # default of the highest rate of datagrams to one robot, in Hz
 TOLD_EVERY = 1.0  # seconds between two summary lines
 SESSION = "basestation.session"  # file beside the fleet file that holds the session number of the last run
 LOST = 1.0  # the summary shows a robot as not seen after this many seconds without a pose
+
 # A frame is sent up to this fraction of a period early. Otherwise jitter would drop every second frame if the
 # cameras' rate is near the rate of datagrams.
 _JITTER = 0.25

@@ -29,8 +29,7 @@ MARKER = ".koord-collect"  # file with the state for later collections; a simula
 LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # largest number of bytes that one request fetches
-# bytes at the end of a local file that are fetched again, to check that the host's file continues the local file
-OVERLAP = 512
+OVERLAP = 512  # bytes at a local file's end, fetched again to check that the host's file continues the local file
 
 
 class CannotCollect(Exception):

@@ -28,8 +28,8 @@ Take = Callable[[int, Asked], None]
 class Poller:
     """Poller: requests the status of all robots periodically until it is closed.
 
-    `take` is called with the robot's index in `fleet.places` and its answer, also if that has no report. Several
-    threads call it.
+    `take` receives a robot's index in `fleet.places` and the robot's answer, with or without a report. Several threads
+    call `take`.
     """
 
     def __init__(self, fleet: Fleet, key: bytes | None, take: Take) -> None:
@@ -46,7 +46,7 @@ class Poller:
             thread.start()
 
     def close(self) -> None:
-        """End all threads. After the return, `take` is not called any more."""
+        """Stop polling and end all threads. Afterwards `take` is not called any more."""
         self._over.set()
         for thread in self._threads:
             thread.join()

@@ -15,7 +15,7 @@ from pathlib import Path
 from koordgen.lang.node import Node
 
 LOOPBACK = "127.0.0.1"
-SHORTEST_TOKEN = 32  # characters
+SHORTEST_TOKEN = 32  # smallest length of a token, in characters
 
 
 class Refused(Exception):

@@ -3,8 +3,8 @@
 The steps are: stage on all hosts, verify, switch, then confirm in two phases. A host that switched reverts to its old
 release by itself unless the switch is confirmed in time. Phase one (`prepare`) checks that every host can confirm; only
 then phase two (`confirm`) begins. A failure before phase two reverts all hosts. A host that misses phase two reverts by
-itself. The fleet then has two releases; its robots refuse to begin a mission together, and the next deployment repairs
-it.
+itself. The fleet then has two releases: its robots refuse to begin a mission together. The next deployment repairs the
+fleet.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Phases:
     ) -> dict[Host, Any]:
         """Run `ask` on the hosts `among` (default: all).
 
-        Raises Failed after all hosts have answered, if one failed.
+        Waits for the answers of all hosts, then raises Failed if a host failed.
         """
         found, failed = await self.attempt(name, ask, among, patient)
         if failed:
@@ -200,10 +200,11 @@ async def _with_sessions(
 
 
 async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Answer]:
-    """Lock and inspect all hosts, and refuse those that may not be changed now.
+    """Lock and inspect all hosts; refuse a deployment to hosts that must not be changed now.
 
-    Every deployment locks the first host (by login) before the others. Of two simultaneous deployments, only the one
-    that locked the first host goes on to the other hosts, so the two cannot block each other.
+    Every deployment locks the first host (by login) before the others. If two deployments start together, only the
+    deployment that locks the first host continues, so they cannot block
+    each other.
     """
     first, *rest = sorted(each.host.login.text for each in phases.hosts)
     by_text = {each.host.login.text: each.host for each in phases.hosts}
@@ -236,15 +237,15 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
     if flying:
         named = ", ".join(f"{name} ({robot['phase'] or 'phase unknown'})" for name, robot in flying.items())
         help = "stop the robots and end their agents: `koordgen stop FLEET`"
-        raise HostError(host, "in flight", f"agents run there: {named}", help)
+        raise HostError(host, "in flight", f"agents run on the host: {named}", help)
     error = min(0.0, answer["clock"] - before) + max(0.0, answer["clock"] - after)
     if abs(error) > MOST_CLOCK_ERROR:
         side = "behind" if error < 0 else "ahead of"
         help = f"`ssh {host.login.user}@{host.login.name} sudo date -u --set=@{after:.0f}` sets the clock"
-        message = f"its clock is {abs(error):.0f} s {side} this computer's; at most {MOST_CLOCK_ERROR:g} s are allowed"
+        message = f"the host's clock is {abs(error):.0f} s {side} this computer's; the limit is {MOST_CLOCK_ERROR:g} s"
         raise HostError(host, "clock", message, help)
     if service == "systemd" and not answer["linger"]:
-        message = f"{answer['user']}'s services would end there when {answer['user']} logs out"
+        message = f"{answer['user']}'s services would end on the host when {answer['user']} logs out"
         help = f"run `sudo loginctl enable-linger {answer['user']}` on the host, or set `deploy: {{service: none}}`"
         raise HostError(host, "linger", message, help)
 
@@ -268,7 +269,7 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
         other = document["application_id"] != built.application_id
         if strange or other:
             whose = f"application_id {document['application_id']}" if other else f"robots {', '.join(strange)}"
-            message = f"it has a release of another fleet: {document['app']}, {whose}"
+            message = f"the host has a release of another fleet: {document['app']}, {whose}"
             help = "name another folder: `deploy: {folder: ...}`, or replace the other fleet with --take-over"
             raise HostError(session.host, "other fleet", message, help)
 
@@ -370,8 +371,8 @@ async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
         return NOTHING_CHANGED
     named = ", ".join(robot for error in failed for robot in error.host.robots)
     return (
-        f"every robot keeps its release; the hosts of {named} could not be reached, and return to it by themselves "
-        f"within {2 * CONFIRM_WITHIN:g} s"
+        f"every robot keeps its release; the hosts of {named} could not be reached, and return to this release by "
+        f"themselves within {2 * CONFIRM_WITHIN:g} s"
     )
 
 
@@ -390,9 +391,9 @@ async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
     named = ", ".join(robot for error in failed for robot in error.host.robots)
     raise Missed(
         failed,
-        f"{there} robots have release {name}; {named} missed the second phase, and return to the release before within "
-        f"{2 * CONFIRM_WITHIN:g} s unless the confirmation arrived. The fleet cannot begin a mission; the same command "
-        "repairs it",
+        f"{there} robots have release {name}; {named} missed the second phase, and return to their previous release "
+        f"within {2 * CONFIRM_WITHIN:g} s unless the confirmation arrived. The fleet cannot begin a mission; the same "
+        "command repairs it",
     )
 
 
@@ -449,7 +450,7 @@ def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
 
 def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
     if set(document["robots"]) != set(host.robots):
-        message = f"its release {document['id']} is of {', '.join(document['robots'])}"
+        message = f"the host's release {document['id']} is of robots {', '.join(document['robots'])}"
         raise HostError(host, "other fleet", message, "run `koordgen deploy` with this fleet file first")
 
 
@@ -500,7 +501,8 @@ def _fleetwide_of(document: Mapping[str, Any], key: str) -> Fleetwide:
 def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mapping[str, Mapping[str, str]]) -> None:
     """Raise Failed if the releases of hosts differ in more than the key.
 
-    Releases that differ in the key alone are accepted: some hosts missed an earlier rotation, and this one repairs it.
+    Releases that differ only in the key are accepted: some hosts missed an earlier rotation, which this rotation
+    repairs.
     """
     odd = [
         host for host, document in documents.items()
@@ -509,6 +511,6 @@ def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mappin
     if odd:
         help = "run `koordgen deploy` first, which repairs the fleet"
         raise Failed(
-            HostError(host, "mixed", f"its release {documents[host]['id']} differs from that of the other robots", help)
+            HostError(host, "mixed", f"release {documents[host]['id']} differs from that of other robots", help)
             for host in odd
         )

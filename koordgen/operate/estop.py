@@ -28,8 +28,10 @@ from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped,
 BY_HAND = "stop these robots by hand now: by remote control, by kill switch, or by cutting their power"
 NO_ANSWER = "no answer"
 PATIENCE = 3.0  # seconds for which all robots are called before those without an answer are reported
+
 # Seconds without an answer to the stop before a new challenge is requested, because the agent may have restarted.
 STALE_OFFER = 0.3
+
 # Period in seconds between two stop requests to one robot: _EACH times the number of robots, but at least _SHORTEST.
 _SHORTEST, _EACH = 0.01, 0.0005
 
@@ -119,11 +121,11 @@ def read_fleet(text: str) -> Fleet:
     try:
         top = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise CannotStop(f"not YAML: {' '.join(str(error).split())}") from None
+        raise CannotStop(f"the file is not YAML: {' '.join(str(error).split())}") from None
     top = top if isinstance(top, dict) else {}
     robots = top.get("robots")
     if not isinstance(robots, list) or not robots:
-        raise CannotStop("it lists no robots")
+        raise CannotStop("the fleet file lists no robots")
     application, key = top.get("application_id"), top.get("key")
     return Fleet(
         tuple(_place(i, robot if isinstance(robot, dict) else {}) for i, robot in enumerate(robots)),
@@ -371,7 +373,7 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
 
 
 def _listen(caller: socket.socket, stopping: Stopping, until: float) -> None:
-    """Receive answers until one makes progress or the next call is due."""
+    """Receive answers until an answer makes progress or the next request is due."""
     while (left := until - time.monotonic()) > 0:
         caller.settimeout(left)
         if stopping.take(caller.recv(SHORT + 1), time.monotonic()):

@@ -21,7 +21,7 @@ class Examined(Node):
     """Result of one robot's `doctor`.
 
     status: exit status.
-    findings: results of the checks, in the format of the command's JSON document.
+    findings: results of the checks, in the format of the JSON document that `doctor` prints.
     problem: reason why `findings` is empty; "" if `doctor` ran.
     """
 

@@ -250,7 +250,7 @@ _SHELL = "`ssh HOST true` must print nothing: remove all output from the host's 
 
 
 class Sessions(Node):
-    """Sessions with the hosts that were reached (in the fleet file's order), and failures of the others."""
+    """Sessions with the hosts that were reached (in the fleet file's order), and failures of the other hosts."""
 
     reached: tuple[Session, ...]
     failed: tuple[HostError, ...]
@@ -329,7 +329,7 @@ async def _open(host: Host, options: Options, tool: bytes) -> Session:
         if answer.get("upload"):
             answer = await session.exchange(tool, "while the tool was sent")
         if answer.get("ok") is not True:
-            message = str(answer.get("message", "the tool does not start"))
+            message = str(answer.get("message", "the tool on the host does not start"))
             raise HostError(host, str(answer.get("error", "tool")), message, str(answer.get("help", "")))
     except BaseException as error:
         connection.abort()

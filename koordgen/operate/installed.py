@@ -12,10 +12,10 @@ from koordgen.operate.hosts import Answer, HostError, Sessions
 class Installed(Node):
     """State of a robot and its host, as the host reports it.
 
-    release: build that would run if the agent were started; empty without one.
-    id: id of the confirmed release; empty without one.
-    pending: id of a release that is not confirmed yet; empty without one.
-    running: whether the robot's agent runs.
+    release: build that would run if the agent were started; empty if there is no build.
+    id: id of the confirmed release; empty if there is no such release.
+    pending: id of a release that is not confirmed yet; empty if there is no such release.
+    running: True if the robot's agent runs.
     phase: phase of the agent; empty if unknown.
     free: free bytes on the disk.
     temperature: degrees Celsius; None if unknown.

@@ -32,7 +32,7 @@ class Line(Node):
 class Offset(Node):
     """Offset of a host's clock from this computer's clock.
 
-    ahead: seconds by which it is ahead of this computer's clock.
+    ahead: seconds by which the host's clock is ahead of this computer's clock.
     error: bound of the error of `ahead`, in seconds.
     """
 
@@ -50,7 +50,7 @@ def offset_of(samples: Iterable[tuple[float, float, float]]) -> Offset:
 
 
 async def clock_offset(session: Session, now: Callable[[], float] = time.time) -> Offset:
-    """Measure how far the host's clock is ahead. Raises HostError."""
+    """Measure the offset of a host's clock from this computer's clock. Raises HostError."""
     samples = []
     for _ in range(ASKED):
         sent = now()

@@ -101,7 +101,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
 
 
 def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
-    """Receive until the next request can be sent or the answer is complete.
+    """Receive one robot's answer until it is complete or the next request is due.
 
     Raises TimeoutError at `until`.
     """
@@ -134,7 +134,7 @@ def release_of(asked: Asked) -> str:
 
 
 def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
-    """Return robot -> release for the robots whose release differs from that of most robots.
+    """Return robot -> release for the robots whose release differs from the release of most robots.
 
     A release may be running or installed. The result is empty when all releases are equal. A fleet with several
     releases cannot begin a mission.

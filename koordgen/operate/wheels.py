@@ -76,7 +76,7 @@ def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
         raise CannotFetch(f"the host's processor is {machine}, but agents need a 64-bit processor", help)
     if major != 3 or minor not in _PYTHONS:
         help = "name an interpreter from 3.10 to 3.14 in the fleet file: `deploy: {python: python3.11}`"
-        raise CannotFetch(f"its Python is {major}.{minor}, and agents run on 3.10 to 3.14", help)
+        raise CannotFetch(f"the host's Python is {major}.{minor}, but agents need 3.10 to 3.14", help)
     glibc = re.fullmatch(r"2\.(\d+).*", str(version)) if libc == "glibc" else None
     return WheelPlatform(machine, int(glibc[1]) if glibc else None, minor)
 
@@ -168,7 +168,7 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     except subprocess.TimeoutExpired:
-        message = f"the package index did not deliver within {PATIENCE:g} s"
+        message = f"the package index did not deliver the wheels within {PATIENCE:g} s"
         raise CannotFetch(message, "connect this computer to the internet, or set `deploy: {wheels: FOLDER}`") from None
 
 

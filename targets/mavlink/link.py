@@ -38,17 +38,17 @@ class Vehicle:
 
     system: int
     component: int
-    autopilot: int  # MAV_AUTOPILOT
-    type: int  # MAV_TYPE
+    autopilot: int  # kind of autopilot: a MAV_AUTOPILOT
+    type: int  # kind of vehicle: a MAV_TYPE
 
 
 @dataclass(slots=True)
 class Asked:
-    """Pending command."""
+    """Command that was sent, and is sent again until its effect is seen."""
 
     times: int  # number of times that the command was sent
     at: float  # time when the command was sent last
-    result: int | None = None  # MAV_RESULT of the last acknowledgement
+    result: int | None = None  # MAV_RESULT in the last acknowledgement; None without an acknowledgement
 
 
 class Link:
@@ -153,7 +153,7 @@ class Link:
     def _take_text(self, message: Message, now: float) -> None:
         """Record a STATUSTEXT. Long texts arrive in chunks of 50 characters with a common id.
 
-        If a chunk is lost, the text ends before it."""
+        If a chunk is lost, the recorded text ends before the lost chunk."""
         text = message.text if isinstance(message.text, str) else bytes(message.text).decode("ascii", "replace")
         text = "".join(c if c.isprintable() else "?" for c in text)
         if message.id:

@@ -46,8 +46,7 @@ class Wanted:
     why: str  # consequence of a wrong value, or meaning of the parameter
     vital: bool = False  # True: the vehicle must not take off with a wrong value
     bits: bool = False  # True: `values` are bits, and each of them must be set
-    # first and last flight_sw_version that need the parameter; None: all versions
-    versions: tuple[int, int] | None = None
+    versions: tuple[int, int] | None = None  # firmware versions (first, last) that need the parameter; None: all
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +96,11 @@ class Parameters:
         self._asked = {w: _Asked() for w in wanted}
         self._names = {name: w for w in wanted for name in (w.name, *w.older)}
         self._bytewise = bytewise
-        self._version: int | None = None  # AUTOPILOT_VERSION.flight_sw_version
+        self._version: int | None = None  # firmware version: AUTOPILOT_VERSION.flight_sw_version
         self._asked_version = 0  # number of requests for AUTOPILOT_VERSION
 
     def take(self, message: Message) -> None:
-        """Take one of the vehicle's messages."""
+        """Handle a message of the vehicle: the value of a parameter, or the autopilot's version."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
                 self._version = message.flight_sw_version
@@ -156,7 +155,7 @@ class Parameters:
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """Readings of all parameters that this firmware version needs."""
+        """Return the readings of all parameters that this firmware version needs."""
         return tuple(
             Reading(w, a.name, self._value(a)) if a.name else Reading(w, w.name, None)
             for w, a in self._asked.items()
@@ -165,7 +164,7 @@ class Parameters:
 
     @property
     def differences(self) -> tuple[Reading, ...]:
-        """Readings that are wrong or missing, the vital ones first."""
+        """Return the readings that are wrong or missing: first those of vital parameters."""
         wrong = [r for r in self.readings if not r.right]
         return tuple(sorted(wrong, key=lambda r: not r.wanted.vital))
 
@@ -192,7 +191,7 @@ class Review:
         self.known = False  # True: each parameter was received or counts as missing
 
     def take(self, message: Message) -> None:
-        """Take one of the vehicle's messages."""
+        """Handle a message of the vehicle: a parameter, or the channels of a remote control."""
         self._parameters.take(message)
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
             self._piloted = message.chancount > 0

@@ -124,7 +124,7 @@ def test_a_feed_that_is_no_address_and_a_fleet_that_takes_none(tmp_path: Path) -
     with pytest.raises(CannotServe, match="alice: feed 'serial:a' is not understood"):
         receivers(fleet, all_targets())
     own = "\n".join(line for line in FLEET.splitlines() if "alice" not in line and "bert" not in line)
-    with pytest.raises(CannotServe, match="no robot of this fleet takes"):
+    with pytest.raises(CannotServe, match="no robot of this fleet receives"):
         receivers(fleet_of(written(tmp_path, own)), all_targets())
 
 

@@ -190,8 +190,8 @@ def test_a_key_that_others_may_read_stops_all_the_same(
     [
         (None, "No such file"),
         ("robots: [", "not YAML"),
-        ("delta: 0.1\n", "it lists no robots"),
-        ("- 1\n", "it lists no robots"),
+        ("delta: 0.1\n", "the fleet file lists no robots"),
+        ("- 1\n", "the fleet file lists no robots"),
         ("robots: [{name: a, address: 'localhost:1'}]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]\nkey: mine.key\n", "mine.key: No such file"),
@@ -206,7 +206,7 @@ def test_when_nobody_can_be_called(
         path.write_text(text)
     assert main(["estop", str(path)]) == 1
     told = capsys.readouterr().err
-    assert words in told and "no robot was called; stop them by hand" in told
+    assert words in told and "no robot was called; stop these robots by hand" in told
 
 
 def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> None:

@@ -151,7 +151,7 @@ def test_with_a_pilot_s_remote_control_it_takes_off_and_says_who_must_land_it() 
     assert requests  # it asks whether there is one
     rig.autopilot._send(mavlink.MAVLink_rc_channels_message(0, 16, *[1500] * 18, 255))
     assert rig.run(30.0, lambda: rig.quad.ready)
-    assert any("should the agent die, its pilot must land it" in said for said in rig.progress)
+    assert any("if the agent dies, its pilot must land the robot" in said for said in rig.progress)
 
 
 def test_what_does_not_forbid_a_take_off_is_told_once() -> None:

@@ -70,7 +70,7 @@ def _show(fleet: Fleet, found: Collection) -> None:
 
 
 def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
-    """Write the program and the merged trace. If that is impossible, print the reason and return False."""
+    """Write the program and the merged trace; return False and print the reason if they cannot be merged."""
     sys.path.insert(0, str(resources.targets().parent))
     apart = f"`koordgen audit {folder / ROBOTS} --program APP.koord` reads the robots' own traces"
     try:

@@ -62,7 +62,7 @@ def _new_key(options: Namespace) -> int:
     except FileExistsError:
         help = "a key is never overwritten; choose another name, or run `koordgen key rotate FLEET`"
         raise console.Failure(console.SURROUNDINGS, f"{options.file} exists", help) from None
-    print(f"{options.file}: keep it beside the fleet file; `koordgen deploy` brings it to every robot")
+    print(f"{options.file}: keep this file beside the fleet file; `koordgen deploy` copies the key to every robot")
     return console.HOLDS
 
 
@@ -109,7 +109,7 @@ def _rotate(options: Namespace) -> int:
 
 
 def _take_place(old: Path, before: Path, waiting: Path) -> None:
-    """Copy the old key to `before`, and rename `waiting` to `old`. Raises Failure."""
+    """Copy the key file `old` to `before`, and rename the key file `waiting` to `old`. Raises Failure."""
     try:
         before.unlink(missing_ok=True)
         _write_key(before, old.read_bytes())

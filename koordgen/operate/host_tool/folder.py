@@ -73,7 +73,7 @@ class Folder:
         return self.venvs / checked(_DIGEST, digest, "a digest of packages has 16 to 64 hex digits")
 
     def wheel(self, name: str) -> Path:
-        return self.wheels / checked(_WHEEL, name, "a wheel is a file name that ends in .whl")
+        return self.wheels / checked(_WHEEL, name, "a wheel's name must be a file name that ends in .whl")
 
     def object(self, digest: str) -> Path:
         return self.objects / checked_sha256(digest)

@@ -12,8 +12,7 @@ from .folder import RESERVE, Folder, ToolError, make_folder, read_json, remove_t
 
 _GROWTH = 5  # upper bound of an installed package's size, with its compiled modules, divided by the size of its wheel
 _TIME = 1800.0  # time limit of one command in seconds: a small computer may have to unpack hundreds of megabytes
-# file that lists an environment's wheels; it is written last, so it marks a complete environment
-_COMPLETE = "wheels.json"
+_COMPLETE = "wheels.json"  # list of an environment's wheels, written last: it marks a complete environment
 
 
 def make(folder: Folder, digest: str, requirements: str, wheels: Sequence[str]) -> bool:

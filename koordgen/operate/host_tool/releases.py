@@ -222,7 +222,7 @@ def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mappin
 
 
 def _complete(folder: Folder, place: Path, document: Any, wanted: dict[str, dict[str, Any]]) -> None:
-    """Stage an existing release again: add bundles of robots new on this host, and repair damaged files."""
+    """Stage an existing release again: add bundles of new robots, and repair damaged files."""
     _fill(folder, place, wanted)
     write_json(place / _FILES, (read_json(place / _FILES) or {}) | wanted)
     release = parse_release(folder, document)
@@ -306,7 +306,7 @@ def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
 def verify(folder: Folder, release_id: str, load: bool = True) -> int:
     """Check all files and the key of a release; return the number of files. Raises ToolError.
 
-    load: check that each bundle can be loaded as well.
+    load: True to check also that each bundle can be loaded.
     """
     release = read_release(folder, release_id, candidate=True)
     known = read_json(folder.release(release.id) / _FILES) or {}

@@ -22,8 +22,7 @@ from .releases import to_document
 
 WATCHDOG = 20  # an agent is killed if its round loop sends no watchdog message for this many seconds
 STOP = 300  # seconds that a robot may take to land or to brake before its agent is killed
-# exit statuses after which an agent is not started again, because a restart would not help
-NO_RESTART = (0, 1, 2, 3, 130)
+NO_RESTART = (0, 1, 2, 3, 130)  # an agent with one of these exit statuses is not restarted: it would not help
 _START = 300  # time limit in seconds until an agent is ready: it compiles C code and opens its links first
 _TIME = 30.0  # time limit in seconds of systemctl commands that only pass a request to systemd
 

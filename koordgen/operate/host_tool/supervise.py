@@ -128,7 +128,10 @@ class _Supervisor:
                 return agent.wait()
 
     def _attend(self, agent: subprocess.Popen[bytes], notices: socket.socket) -> None:
-        """Log the agent's output, watch the agent and forward signals, until it ends and all output is logged."""
+        """Log the agent's output, watch the agent and forward signals.
+
+        Return when the agent has ended and its output is logged.
+        """
         assert agent.stdout is not None
         output, notified, rest = agent.stdout.fileno(), notices.fileno(), b""
         alive: float | None = None
