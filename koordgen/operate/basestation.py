@@ -25,7 +25,7 @@ from koordgen.runtime.ops.host import pip_install
 from koordgen.runtime.vehicle.datagrams import raw_clock
 
 RATE = 50.0  # default of the highest rate of datagrams to one robot, in Hz
-TOLD_EVERY = 1.0  # seconds between two summary lines
+SUMMARY_EVERY = 1.0  # seconds between two summary lines
 SESSION = "basestation.session"  # file beside the fleet file that holds the session number of the last run
 LOST = 1.0  # the summary shows a robot as not seen after this many seconds without a pose
 
@@ -127,7 +127,7 @@ class Forwarder:
         sample = Sample(name, self._session, self._sequence, now, place, now - measured, self._application)
         return encode(sample, self._key)
 
-    def told(self, now: float, seconds: float) -> str:
+    def summary(self, now: float, seconds: float) -> str:
         """Return a one-line summary of what was forwarded in the last `seconds`."""
         words = []
         for name, sent in self._sent.items():
@@ -212,8 +212,8 @@ class Station:
         self._addresses = {receiver.robot: _resolved(receiver) for receiver in to}
         self.camera = Camera(system)
 
-    def serve(self, told: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
-        """Send poses until the capture system fails; call `told` with a summary line each second.
+    def serve(self, report: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
+        """Send poses until the capture system fails; call `report` with a summary line each second.
 
         Raises CannotServe when the motion capture system fails.
         """
@@ -223,8 +223,8 @@ class Station:
             while True:
                 with suppress(queue.Empty):
                     self._pass_on(sender, self.camera.frames.get(timeout=_LOOK), clock)
-                if (now := clock()) - said >= TOLD_EVERY:
-                    told(self._forwarder.told(now, now - said))
+                if (now := clock()) - said >= SUMMARY_EVERY:
+                    report(self._forwarder.summary(now, now - said))
                     said = now
 
     def _pass_on(self, sender: socket.socket, found: Frame | Exception, clock: Callable[[], float]) -> None:

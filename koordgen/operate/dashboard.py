@@ -22,18 +22,18 @@ from koordgen.operate.status import Asked, ask_one, odd_releases
 EVERY = 0.25  # seconds from one status request to a robot to the next
 WITHIN = 0.5  # seconds that a robot has to answer a request
 
-Take = Callable[[int, Asked], None]
+OnAnswer = Callable[[int, Asked], None]
 
 
 class Poller:
     """Poller: requests the status of all robots periodically until it is closed.
 
-    `take` receives a robot's index in `fleet.places` and the robot's answer, with or without a report. Several threads
-    call `take`.
+    `on_answer` is called with a robot's index in `fleet.places` and the robot's answer, with or without a report.
+    Several threads call `on_answer`.
     """
 
-    def __init__(self, fleet: Fleet, key: bytes | None, take: Take) -> None:
-        self._fleet, self._key, self._take = fleet, key, take
+    def __init__(self, fleet: Fleet, key: bytes | None, on_answer: OnAnswer) -> None:
+        self._fleet, self._key, self._on_answer = fleet, key, on_answer
         self._over = threading.Event()
         self._last: dict[int, Asked] = {}  # last answer of each robot that has answered
         self._threads = [
@@ -46,7 +46,7 @@ class Poller:
             thread.start()
 
     def close(self) -> None:
-        """Stop polling and end all threads. Afterwards `take` is not called any more."""
+        """Stop polling and end all threads. Afterwards `on_answer` is not called any more."""
         self._over.set()
         for thread in self._threads:
             thread.join()
@@ -63,7 +63,7 @@ class Poller:
             asked = ask_one(place, application, self._key, began, WITHIN)
             if asked.report is not None:
                 self._last[index] = asked
-            self._take(index, asked)
+            self._on_answer(index, asked)
             self._over.wait(max(0.0, began + EVERY - time.monotonic()))
 
 

@@ -39,18 +39,18 @@ CONFIRM_WITHIN = 60.0
 MOST_CLOCK_ERROR = 60.0  # largest difference in seconds between a host's clock and this computer's clock
 NOTHING_CHANGED = "nothing was changed: every robot keeps its release"
 
-Say = Callable[[str], None]
+Show = Callable[[str], None]
 
 
 class Failed(Exception):
     """Raised if a deployment fails, or if the user interrupts it (then `errors` is empty).
 
-    `outcome` says in one sentence which release every robot has now.
+    `situation` says in one sentence which release every robot has now.
     """
 
-    def __init__(self, errors: Iterable[HostError], outcome: str = NOTHING_CHANGED) -> None:
+    def __init__(self, errors: Iterable[HostError], situation: str = NOTHING_CHANGED) -> None:
         self.errors = tuple(errors)
-        self.outcome = outcome
+        self.situation = situation
         super().__init__("; ".join(map(str, self.errors)))
 
 
@@ -101,10 +101,10 @@ class Built(Node):
 class Phases:
     """Phases of one deployment. Each phase runs on all hosts in parallel, and fails if one host fails."""
 
-    def __init__(self, opened: Sessions, say: Say) -> None:
+    def __init__(self, opened: Sessions, show: Show) -> None:
         self.hosts = opened.reached
         self.seconds: dict[str, float] = {}
-        self._say = say
+        self._show = show
 
     async def phase(
         self,
@@ -135,7 +135,7 @@ class Phases:
             would be unknown after a request that was cut off.
         """
         asked = tuple(each for each in self.hosts if among is None or each.host in among)
-        self._say(f"{name}: {len(asked)} host{'s' if len(asked) != 1 else ''}")
+        self._show(f"{name}: {len(asked)} host{'s' if len(asked) != 1 else ''}")
         began = time.monotonic()
         try:
             work = Sessions(asked, ()).each(ask)
@@ -157,7 +157,7 @@ async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
         raise Interrupted(task.result()) from None
 
 
-def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Deployed:
+def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, show: Show) -> Deployed:
     """Deploy the release that was built to all hosts. Raises Failed, Missed, NoHosts."""
 
     async def run(phases: Phases) -> Deployed:
@@ -176,20 +176,20 @@ def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: boo
         await phases.phase("verify", lambda session: session.call("verify", id=name))
         return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_sessions(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
 async def _with_sessions(
-    hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Phases], Awaitable[Deployed]]
+    hosts: Sequence[Host], options: Options, show: Show, run: Callable[[Phases], Awaitable[Deployed]]
 ) -> Deployed:
-    say(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
+    show(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
     began = time.monotonic()
     done: Deployed | None = None
     try:
         async with sessions(hosts, options, archive()) as opened:
             if opened.failed:
                 raise Failed(opened.failed)
-            phases = Phases(opened, say)
+            phases = Phases(opened, show)
             phases.seconds["connect"] = time.monotonic() - began
             done = await run(phases)
     except asyncio.CancelledError:  # Ctrl-C before the switch began, or after the deployment ended
@@ -357,8 +357,8 @@ async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -
             await phases.phase("switch", lambda each: each.call("switch", id=name, seconds=CONFIRM_WITHIN), late, True)
             await phases.phase("prepare", lambda each: each.call("prepare", id=name), late, True)
         except (Failed, Interrupted, asyncio.CancelledError) as error:
-            outcome = await _revert(phases, name, late)
-            raise Failed(error.errors if isinstance(error, Failed) else (), outcome) from None
+            situation = await _revert(phases, name, late)
+            raise Failed(error.errors if isinstance(error, Failed) else (), situation) from None
         await _confirm(phases, name, late)
     sent = {session.host: session.sent for session in phases.hosts}
     return Deployed(name, before, tuple(late), phases.seconds, sent)
@@ -397,7 +397,7 @@ async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
     )
 
 
-def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Deployed:
+def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, show: Show) -> Deployed:
     """Roll all hosts back to the release `to`, else to the latest earlier release that all still have.
 
     Raises Failed, Missed, NoHosts.
@@ -420,7 +420,7 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
         await phases.phase("verify", check)
         return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_sessions(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
 def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
@@ -454,7 +454,7 @@ def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
         raise HostError(host, "other fleet", message, "run `koordgen deploy` with this fleet file first")
 
 
-def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Deployed:
+def rotate(hosts: Sequence[Host], options: Options, new: bytes, show: Show) -> Deployed:
     """Install a new key on all hosts, as a new release with the same bundles.
 
     Raises Failed, Missed, NoHosts.
@@ -478,7 +478,7 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Dep
         await phases.phase("verify", lambda session: session.call("verify", id=name))
         return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_sessions(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
 async def _present(session: Session, inspected: Answer) -> Answer:

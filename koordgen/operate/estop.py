@@ -242,7 +242,7 @@ def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
 
 
 class Stopping:
-    """Protocol that stops one robot: send `datagram`, and pass answers to `take`, until `phase` is set."""
+    """Protocol that stops one robot: send `datagram`, and pass answers to `receive`, until `phase` is set."""
 
     def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
         self.phase = ""
@@ -258,7 +258,7 @@ class Stopping:
             return encode(Ask(self._application, self._nonce), self._key)
         return encode(Stop(self._nonce, self._offer.challenge), self._key)
 
-    def take(self, datagram: bytes, now: float) -> bool:
+    def receive(self, datagram: bytes, now: float) -> bool:
         """Return whether the answer makes progress, so that the next `datagram` should be sent at once."""
         match decode(datagram, self._key):
             case Offer(nonce) as offer if nonce == self._nonce:
@@ -315,34 +315,34 @@ def show(results: list[Called], form: str) -> str:
         ]
         return json.dumps({"robots": robots}, indent=2)
     width = max(len(r.place.name) for r in results)
-    return "\n".join(f"{r.place.name:<{width}}  {_told(r)}" for r in results)
+    return "\n".join(f"{r.place.name:<{width}}  {_result_text(r)}" for r in results)
 
 
-def _told(result: Called) -> str:
+def _result_text(result: Called) -> str:
     if not result.phase:
         return f"{result.note.replace(NO_ANSWER, NO_ANSWER.upper())} ({result.place.host}:{result.place.port})"
     did = "has stopped" if result.phase == "rested" else "is stopping: it lands or brakes"
     return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
 
 
-def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patience: float) -> list[Called]:
+def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, timeout: float) -> list[Called]:
     """Stop all robots in parallel, one thread each, so that a slow name lookup delays no other robot."""
     results = [Called(place, "", 0.0, NO_ANSWER) for place in fleet]
     every = max(_SHORTEST, _EACH * len(fleet))
     began = time.monotonic()
 
     def call(index: int) -> None:
-        results[index] = _stop(fleet[index], Stopping(application, key, os.urandom(NONCE)), every, began, patience)
+        results[index] = _stop(fleet[index], Stopping(application, key, os.urandom(NONCE)), every, began, timeout)
 
     threads = [threading.Thread(target=call, args=(i,), daemon=True) for i in range(len(fleet))]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+        thread.join(max(0.0, began + timeout + 0.2 - time.monotonic()))
     return results
 
 
-def _stop(place: Place, stopping: Stopping, every: float, began: float, patience: float) -> Called:
+def _stop(place: Place, stopping: Stopping, every: float, began: float, timeout: float) -> Called:
     if not place.port:
         return Called(place, "", 0.0, "the fleet file has no address for the robot")
     try:
@@ -353,7 +353,7 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
     with socket.socket(found[0], socket.SOCK_DGRAM) as caller:
         with suppress(OSError):
             caller.connect(found[4])
-        while not stopping.phase and (now := time.monotonic()) < began + patience:
+        while not stopping.phase and (now := time.monotonic()) < began + timeout:
             try:
                 caller.send(stopping.datagram(now))
                 _listen(caller, stopping, now + every)
@@ -376,5 +376,5 @@ def _listen(caller: socket.socket, stopping: Stopping, until: float) -> None:
     """Receive answers until an answer makes progress or the next request is due."""
     while (left := until - time.monotonic()) > 0:
         caller.settimeout(left)
-        if stopping.take(caller.recv(SHORT + 1), time.monotonic()):
+        if stopping.receive(caller.recv(SHORT + 1), time.monotonic()):
             return

@@ -46,27 +46,27 @@ class Asked(Node):
     host: Installed | None = None
 
 
-def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list[Asked]:
-    """Ask all robots in parallel for at most `patience` seconds.
+def ask_all(fleet: Fleet, key: bytes | None, timeout: float = PATIENCE) -> list[Asked]:
+    """Ask all robots in parallel for at most `timeout` seconds.
 
     Return the answers in the order of the fleet file.
     """
-    answers = [Asked(place, None, patience, "no answer") for place in fleet.places]
+    answers = [Asked(place, None, timeout, "no answer") for place in fleet.places]
     began = time.monotonic()
 
     def ask(index: int) -> None:
-        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, patience)
+        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, timeout)
 
     threads = [threading.Thread(target=ask, args=(i,), daemon=True) for i in range(len(answers))]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+        thread.join(max(0.0, began + timeout + 0.2 - time.monotonic()))
     return list(answers)
 
 
-def ask_one(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
-    """Ask one robot repeatedly until it answers, or `patience` seconds have passed since `began`.
+def ask_one(place: Place, application: int, key: bytes | None, began: float, timeout: float) -> Asked:
+    """Ask one robot repeatedly until it answers, or `timeout` seconds have passed since `began`.
 
     `began` is a monotonic time.
     """
@@ -80,7 +80,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         with suppress(OSError):
             asker.connect(address)
-        while asking.answer is None and (now := time.monotonic()) < began + patience:
+        while asking.answer is None and (now := time.monotonic()) < began + timeout:
             try:
                 for datagram in asking.datagrams():
                     asker.send(datagram)

@@ -172,16 +172,16 @@ def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
         raise CannotFetch(message, "connect this computer to the internet, or set `deploy: {wheels: FOLDER}`") from None
 
 
-def _refused(said: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
-    """Return the error for the output `said` of a pip that failed."""
-    if "No module named pip" in said:
+def _refused(output: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
+    """Return the error for the output `output` of a pip that failed."""
+    if "No module named pip" in output:
         return CannotFetch("this computer's Python has no pip, which fetches wheels", pip_install("pip"))
-    missing = re.search(r"No matching distribution found for (\S+)", said)
-    unreached = re.search(r"connection|resolve|timed out|network", said, re.IGNORECASE) and folder is None
+    missing = re.search(r"No matching distribution found for (\S+)", output)
+    unreached = re.search(r"connection|resolve|timed out|network", output, re.IGNORECASE) and folder is None
     if missing and not unreached:
         place = f"in {folder}" if folder else "at the package index"
         help = "choose another Python: `deploy: {python: ...}`; or build the wheels: `deploy: {wheels: FOLDER}`"
         return CannotFetch(f"there is no wheel of {missing[1]} {place} for the host ({platform.title})", help)
-    last = next((line for line in reversed(said.splitlines()) if line.strip()), "pip failed").strip()
+    last = next((line for line in reversed(output.splitlines()) if line.strip()), "pip failed").strip()
     help = "connect this computer to the internet, or set `deploy: {wheels: FOLDER}`"
     return CannotFetch(f"wheels for {platform.title} cannot be fetched: {last}", help)

@@ -28,7 +28,7 @@ class Framer:
 
     def __init__(self) -> None:
         self._mavlink = mavlink.MAVLink(None)
-        self._rest = b""
+        self._unparsed = b""
         self.rejected: dict[str, int] = {}
 
     def datagram(self, data: bytes) -> list[Message]:
@@ -37,7 +37,7 @@ class Framer:
 
     def stream(self, data: bytes) -> list[Message]:
         """Return the messages that a stream's next bytes complete."""
-        messages, self._rest = self._scan(self._rest + data, whole=False)
+        messages, self._unparsed = self._scan(self._unparsed + data, whole=False)
         return messages
 
     def _scan(self, data: bytes, whole: bool) -> tuple[list[Message], bytes]:

@@ -106,7 +106,7 @@ class Link:
             strange = self._source is not None and source != self._source and self.alive(now)
             for message in decode(data):
                 if not self._from_vehicle(message):
-                    self._take_foreign(message, now)
+                    self._note_foreign(message, now)
                 elif strange:
                     # drop the message: the vehicle's own address is different, and its heartbeats arrive
                     self._count("another address")
@@ -126,7 +126,7 @@ class Link:
             self.vehicle = Vehicle(system, component, message.autopilot, message.type)
         return (system, component) == (self.vehicle.system, self.vehicle.component)
 
-    def _take_foreign(self, message: Message, now: float) -> None:
+    def _note_foreign(self, message: Message, now: float) -> None:
         """Record a message from another sender than the vehicle: an autopilot, a ground station, a gimbal."""
         system = message.get_srcSystem()
         chosen = self.system or (self.vehicle.system if self.vehicle is not None else 0)
@@ -148,9 +148,9 @@ class Link:
                 if asked is not None and message.target_system in (0, GROUND_STATION):
                     asked.result = message.result
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
-                self._take_text(message, now)
+                self._note_text(message, now)
 
-    def _take_text(self, message: Message, now: float) -> None:
+    def _note_text(self, message: Message, now: float) -> None:
         """Record a STATUSTEXT. Long texts arrive in chunks of 50 characters with a common id.
 
         If a chunk is lost, the recorded text ends before the lost chunk."""
@@ -207,7 +207,7 @@ class Link:
         The next `ask` sends the command at once."""
         self._asked.pop(command, None)
 
-    def tell(self, command: int, *params: float) -> None:
+    def send_once(self, command: int, *params: float) -> None:
         """Send a command once, without a repetition. The caller checks the effect of the command."""
         self._command(command, 0, *params)
 

@@ -99,7 +99,7 @@ class Parameters:
         self._version: int | None = None  # firmware version: AUTOPILOT_VERSION.flight_sw_version
         self._asked_version = 0  # number of requests for AUTOPILOT_VERSION
 
-    def take(self, message: Message) -> None:
+    def handle(self, message: Message) -> None:
         """Handle a message of the vehicle: the value of a parameter, or the autopilot's version."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
@@ -186,13 +186,13 @@ class Review:
         self._parameters = Parameters(wanted, bytewise)
         self._differences: tuple[Reading, ...] = ()
         self._reread = -math.inf
-        self._told: tuple[str, ...] = ()
+        self._reported: tuple[str, ...] = ()
         self._piloted = False  # True: the autopilot receives a remote control
         self.known = False  # True: each parameter was received or counts as missing
 
-    def take(self, message: Message) -> None:
+    def handle(self, message: Message) -> None:
         """Handle a message of the vehicle: a parameter, or the channels of a remote control."""
-        self._parameters.take(message)
+        self._parameters.handle(message)
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
             self._piloted = message.chancount > 0
 
@@ -204,7 +204,7 @@ class Review:
             if self._differences and now - self._reread >= REREAD:
                 self._reread = now
                 self._parameters.again()
-                link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
+                link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
 
     @property
     def forbids(self) -> str:
@@ -216,14 +216,14 @@ class Review:
     def _vital(self) -> str:
         return "; ".join(str(r) for r in self._differences if r.wanted.vital)
 
-    def news(self) -> str:
+    def unreported(self) -> str:
         """Return a text of the wrong parameters if it has changed since the last call, else ""."""
         differences = tuple(map(str, self._differences))
         if self._vital and self._piloted:
             differences = (*differences, PILOT)
-        if differences == self._told:
+        if differences == self._reported:
             return ""
-        self._told = differences
+        self._reported = differences
         return f"parameters of the autopilot differ: {'; '.join(differences)}" if differences else ""
 
 

@@ -80,7 +80,7 @@ def test_values_are_decoded_as_the_firmware_sends_them(
     for frame in reversed(frames) if late else frames:
         wire.inject(frame)
     for message in link.receive(1.0):
-        parameters.take(message)
+        parameters.handle(message)
     assert [r.found for r in parameters.readings] == [value] and parameters.done(1.0) and not parameters.differences
 
 
@@ -95,7 +95,7 @@ def test_both_names_are_tried_and_one_that_nobody_knows_ends() -> None:
             wire.inject(answer("SYSID_MYGCS", struct.pack("<f", 254.0), INT32))
         wire.inject(answer("OTHER", struct.pack("<f", 1.0), INT32))  # nobody wants to know
         for message in link.receive(now):
-            parameters.take(message)
+            parameters.handle(message)
     assert 3.0 < now < 5.0
     assert asked(wire)[:4] == ["MAV_GCS_SYSID", "NOSUCH", "SYSID_MYGCS", "NOSUCH"]
     assert [str(r) for r in parameters.differences] == [

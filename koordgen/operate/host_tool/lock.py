@@ -21,13 +21,13 @@ _PATIENCE = 60.0  # longest wait for another process to leave the critical secti
 _PROBED = 0.3  # seconds to retry a lock; `is_locked` of another process may hold the lock for some microseconds
 
 
-def try_lock(path: Path, patience: float = _PROBED) -> int | None:
+def try_lock(path: Path, timeout: float = _PROBED) -> int | None:
     """Lock `path` and return the open file, which holds the lock until it is closed.
 
-    Returns None if another process still holds the lock after `patience` seconds.
+    Returns None if another process still holds the lock after `timeout` seconds.
     """
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    end = time.monotonic() + patience
+    end = time.monotonic() + timeout
     try:
         while True:
             try:
@@ -83,7 +83,7 @@ class SessionLock:
     def held(self) -> bool:
         return self._file is not None
 
-    def take(self, owner: str, what: str) -> None:
+    def acquire(self, owner: str, what: str) -> None:
         """Acquire the lock. Raises ToolError "locked", which names the present owner and the lock's age."""
         if self._file is None:
             self._file = try_lock(self._folder.lock)

@@ -45,7 +45,7 @@ def store(folder: Folder, kind: str, entries: Sequence[Any], pieces: Iterable[by
         make_folder(folder.objects if kind == "objects" else folder.wheels)
         contents = _Contents(pieces)
         for path, digest, size in places:
-            _store_one(path, digest, contents.take(size))
+            _store_one(path, digest, contents.next_file(size))
         contents.finish()
         if places:
             sync_folder(places[0][0].parent)
@@ -91,7 +91,7 @@ class _Contents:
         self._inflate = zlib.decompressobj()
         self._input = b""
 
-    def take(self, size: int) -> Iterator[bytes]:
+    def next_file(self, size: int) -> Iterator[bytes]:
         while size:
             piece = self._more(min(size, PIECE))
             if not piece:

@@ -191,7 +191,7 @@ def _inspect(session: Session, request: Request) -> Answer:
 
 
 def _lock(session: Session, request: Request) -> Answer:
-    session.lock.take(str(request["owner"]), str(request["what"]))
+    session.lock.acquire(str(request["owner"]), str(request["what"]))
     with deciding(session.folder):
         session.deployment.repair()
         if session.deployment.read()["pending"] is None:

@@ -96,16 +96,16 @@ class _Supervisor:
         pause = _FIRST_PAUSE
         while True:
             began = time.monotonic()
-            self._tell("starting", None)
+            self._record("starting", None)
             status = self._run_once()
             if status in NO_RESTART or self._is_stopping():
                 self._log.write(f"the agent has ended with status {status}")
-                self._tell("ended", status)
+                self._record("ended", status)
                 return status
             if time.monotonic() - began > _LONG_RUN:
                 pause = _FIRST_PAUSE
             self._log.write(f"the agent has failed with status {status}; it is started again in {pause:.0f} s")
-            self._tell("waiting", status)
+            self._record("waiting", status)
             end = time.monotonic() + pause
             while not self._is_stopping() and time.monotonic() < end:
                 time.sleep(0.1)
@@ -170,7 +170,7 @@ class _Supervisor:
         with suppress(OSError):
             words = notices.recv(4096).decode("utf-8", "replace").split("\n")
             if "READY=1" in words:
-                self._tell("ready", None)
+                self._record("ready", None)
                 return time.monotonic()
             if "STOPPING=1" in words:
                 return None  # switch the watchdog off during the stop, because a landing may take long
@@ -178,7 +178,7 @@ class _Supervisor:
                 return time.monotonic()
         return alive
 
-    def _tell(self, state: str, status: int | None) -> None:
+    def _record(self, state: str, status: int | None) -> None:
         with suppress(OSError):  # ignore the error: a full disk must not end the supervisor during a flight
             found = {"pid": os.getpid(), "state": state, "status": status}
             write_json(state_file(self._folder, self._robot), found)
