@@ -74,7 +74,9 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
             )
         found.append(Receiver(robot.name, robot.host if host == "0.0.0.0" else host, port))
     if not found:
-        raise WrongFiles("no robot of this fleet receives a position feed", "quads need `positioning: vision`")
+        raise WrongFiles(
+            "no robot of this fleet receives a position feed", "a quad receives a feed with `positioning: vision`"
+        )
     return tuple(found)
 
 

@@ -74,7 +74,9 @@ class Folder:
             fcntl.flock(self._marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._marker.close()
-            raise CannotCollect(f"{path}: another collection runs here", "wait until it has ended") from None
+            raise CannotCollect(
+                f"{path}: another collection runs here", "wait until the other collection has ended"
+            ) from None
         self._marker.seek(0)
         with suppress(ValueError):
             found = json.loads(self._marker.read() or "{}")
@@ -184,7 +186,7 @@ async def collect(
 
 
 def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
-    """Raise CannotCollect unless all names are those of trace files: they become paths on this computer."""
+    """Raise CannotCollect unless all names are names of trace files: names become local paths."""
     for name in names:
         if "/" in name or not name.startswith(TRACE.partition(".")[0]) or not name.endswith(".jsonl"):
             raise CannotCollect(

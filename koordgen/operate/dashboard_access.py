@@ -76,7 +76,7 @@ def _context(cert: str, key: str) -> ssl.SSLContext:
 def read_token(path: Path) -> str:
     """Return the token in a file that only its owner may read.
 
-    If it does not exist, make it with a new token.
+    If the file does not exist, make it with a new token.
 
     Raises Refused.
     """

@@ -408,7 +408,7 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
         name = _common_release(inspected, to)
 
         async def check(session: Session) -> None:
-            # the deployment of the release already checked that it loads
+            # the deployment already checked that the bundles load
             await session.call("verify", id=name, load=False)
             document = (await session.call("release", id=name))["release"]
             _refuse_robots(session.host, document)
@@ -511,6 +511,11 @@ def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mappin
     if odd:
         help = "run `koordgen deploy` first, which repairs the fleet"
         raise Failed(
-            HostError(host, "mixed", f"release {documents[host]['id']} differs from that of other robots", help)
+            HostError(
+                host,
+                "mixed",
+                f"the host's release {documents[host]['id']} differs from the other robots' release",
+                help,
+            )
             for host in odd
         )

@@ -28,8 +28,8 @@ from koordgen.lang.node import Node
 if TYPE_CHECKING:
     import asyncssh
 
-CONNECT_TIMEOUT = 10.0  # seconds
-START_TIMEOUT = 60.0  # seconds within which a host must start the tool
+CONNECT_TIMEOUT = 10.0  # time limit for connecting and for logging in, each, in seconds
+START_TIMEOUT = 60.0  # longest time in which a host must start the tool, in seconds
 KEEPALIVE = 5.0  # seconds between two SSH keepalive messages; the connection is closed after three without an answer
 PING = 10.0  # seconds without a request before a `ping` is sent; without pings, the tool ends the idle session
 LONGEST_LINE = 1 << 24  # largest size of an answer's JSON line, in bytes
@@ -88,7 +88,9 @@ class HostError(Exception):
 
 
 class NoHosts(Exception):
-    """The fleet file names no host for some robots, or asyncssh is missing; `help` says what to do."""
+    """Raised if the fleet file names no host for a robot, or if asyncssh is missing.
+
+    `help` says what to do."""
 
     def __init__(self, message: str, help: str, is_file_wrong: bool = True) -> None:
         super().__init__(message)

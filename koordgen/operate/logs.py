@@ -84,7 +84,7 @@ class Follower:
         self._waiting: list[Line] = []
 
     def add(self, lines: Iterable[Line]) -> None:
-        """Add lines that arrived; the lines of one robot must be in order."""
+        """Add lines that were received. Each robot's lines must be in order."""
         self._waiting.extend(lines)
 
     def ready(self, asked: float) -> list[Line]:

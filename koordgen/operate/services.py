@@ -12,7 +12,7 @@ from typing import Any
 from koordgen.lang.node import Node
 from koordgen.operate.hosts import Host, HostError, Sessions
 
-STOP_WITHIN = 30.0  # seconds within which an agent must end after SIGTERM
+STOP_WITHIN = 30.0  # longest time until an agent must end after SIGTERM, in seconds
 
 
 class Refused(Exception):

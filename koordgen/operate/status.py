@@ -22,7 +22,7 @@ from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
 from koordgen.runtime.ops.status import Asking
 
-PATIENCE = 2.0  # seconds to wait for the answers; all robots are asked in parallel
+PATIENCE = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
 _REPEAT = 0.05  # seconds between two requests to one robot
 _COLUMNS = (
     "robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "battery", "disk", "temp", "notes",

@@ -22,7 +22,7 @@ from koordgen.operate.release import digest_of
 from koordgen.runtime.ops.host import pip_install, requirement_for
 
 PIP = "pip"  # pip's wheel installs the packages on a host, because Debian's own Python has no ensurepip
-PATIENCE = 900.0  # seconds for one download
+PATIENCE = 900.0  # time limit for one download, in seconds
 _OLDEST_GLIBC = 17  # minor version of glibc 2 that manylinux2014 requires
 _PYTHONS = range(10, 15)  # minor versions of Python 3 on which agents run
 _WIDE = ("x86_64", "aarch64", "riscv64", "ppc64le", "s390x", "loongarch64", "amd64", "arm64")

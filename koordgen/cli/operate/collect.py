@@ -38,12 +38,12 @@ def collect(options: Namespace) -> int:
         names = [robot.name for robot in fleet.robots if robot.name in found.missed]
         said = "\n".join(f"  {_why(name, found)}" for name in names)
         help = "run the same command again; it fetches only the missing files"
-        raise console.Failure(status_of(errors), f"missed {', '.join(names)}\n{said}", help)
+        raise console.Failure(status_of(errors), f"not all files of {', '.join(names)} were collected\n{said}", help)
     if not merged:
         raise console.Failure(
             console.WRONG, f"{folder} has no merged trace", "each robot's own traces and log are complete"
         )
-    print(f"run: {folder}; `koordgen report {folder}` shows it")
+    print(f"run folder: {folder}; `koordgen report {folder}` shows the run")
     return console.HOLDS
 
 

@@ -52,7 +52,7 @@ def stop(options: Namespace) -> int:
     if done.robots:
         print(f"stopped {_names(fleet, done.robots)}", flush=True)
     if done.idle:
-        print(f"not running: {_names(fleet, done.idle)}", flush=True)
+        print(f"no agent ran on: {_names(fleet, done.idle)}", flush=True)
     return _ended(done, f"in an emergency: `koordgen estop {options.fleet}`")
 
 

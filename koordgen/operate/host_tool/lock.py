@@ -73,7 +73,7 @@ def deciding(folder: Folder) -> Iterator[None]:
 
 
 class SessionLock:
-    """Lock of one session on the whole folder. The file `lock.json` names its owner for messages."""
+    """Lock of one session on the whole folder. The file `lock.json` names the lock's owner, for messages."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder

@@ -112,13 +112,14 @@ class Fetching:
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._next: tuple[Path, int] | None = None  # the open file, and the offset after the last piece
+        # the open trace file, and the offset after the piece that was read last
+        self._next: tuple[Path, int] | None = None
         self._file = -1
 
     def fetch(self, robot: Any, name: Any, offset: int, length: int) -> bytes:
         """Return up to `length` bytes of a robot's trace file, from `offset` on.
 
-        The file is opened again unless the request continues the previous one.
+        The file is opened again unless the request continues the previous request.
         """
         place = self._folder.trace_folder(robot)
         path = place / checked_path(name)

@@ -62,7 +62,7 @@ class Release(NamedTuple):
 def read_release(folder: Folder, release: str, candidate: bool = False) -> Release:
     """Return the release with this id. Raises ToolError if it is not on this host.
 
-    `candidate`: read `next.json` if it exists, which replaces `release.json` at the confirmation.
+    `candidate`: True to read `next.json`, if it exists, instead of `release.json`.
     """
     place = folder.release(release)
     found = read_json(place / _NEXT) if candidate else None
@@ -161,7 +161,7 @@ def environment(folder: Folder) -> dict[str, str]:
 def run(folder: Folder, release: Release, robot: str, *options: str, seconds: float) -> tuple[int, str, str]:
     """Run a bundle until it ends; return its exit status, standard output and standard error.
 
-    Status 124: it did not end within `seconds`. Status 126: it could not be started.
+    Status 124: the bundle did not end within `seconds`. Status 126: the bundle could not be started.
     """
     try:
         done = subprocess.run(
@@ -203,9 +203,9 @@ def stage(folder: Folder, document: Any, files: Mapping[str, Mapping[str, Sequen
 
 
 def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mapping[str, Any]]) -> None:
-    """Link compiled modules of the current release into a new one, for files that are equal in both.
+    """Link compiled modules of the current release into a new release, for files that are equal.
 
-    This saves most of the time that the first load of a bundle would take.
+    The links save most of the time that the first load of a bundle would take.
     """
     with suppress(OSError):
         current = folder.releases / Path(os.readlink(folder.current)).name
@@ -288,7 +288,7 @@ def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
 def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
     """Write the settings that override each bundle's own settings on this host.
 
-    They place traces, the state and the key outside of the release, because a release never changes.
+    The settings place traces, the state and the key outside of the release, because a release never changes.
     """
     for robot in release.robots:
         path = folder.overlay(release.id, robot)
@@ -336,7 +336,7 @@ def _check_loads(folder: Folder, release: Release, robot: str) -> None:
 def write_key(folder: Folder, key: str, content: bytes) -> None:
     path = folder.key(key)
     if key_id(content) != key:
-        raise ToolError("damaged", f"the key that arrived does not have the id {key}", "try again")
+        raise ToolError("damaged", f"the received key does not have the id {key}", "try again")
     with folder.room():
         make_folder(folder.keys, 0o700)
         os.chmod(folder.keys, 0o700)

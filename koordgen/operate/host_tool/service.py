@@ -22,7 +22,7 @@ from .releases import to_document
 
 WATCHDOG = 20  # an agent is killed if its round loop sends no watchdog message for this many seconds
 STOP = 300  # seconds that a robot may take to land or to brake before its agent is killed
-NO_RESTART = (0, 1, 2, 3, 130)  # an agent with one of these exit statuses is not restarted: it would not help
+NO_RESTART = (0, 1, 2, 3, 130)  # a restart would not help after these exit statuses of an agent
 _START = 300  # time limit in seconds until an agent is ready: it compiles C code and opens its links first
 _TIME = 30.0  # time limit in seconds of systemctl commands that only pass a request to systemd
 
@@ -136,7 +136,9 @@ def journal(folder: Folder, robot: str, most: int, since: float | None) -> list[
     arguments = ["journalctl", "--user", "--no-pager", "--output", "json", "--unit", unit_name(folder, robot)]
     status, said, errors = _run([*arguments, *limit], _TIME)
     if status:
-        raise ToolError("no journal", errors.strip()[-500:] or "journalctl failed", "is the journal on disk?")
+        raise ToolError(
+            "no journal", errors.strip()[-500:] or "journalctl failed", "check that systemd stores its journal on disk"
+        )
     found = []
     for line in said.splitlines():
         entry = to_document(line)
