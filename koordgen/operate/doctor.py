@@ -54,7 +54,7 @@ def _version(folder: Path) -> str:
 
 
 def examine(path: str, settings: str | None, form: str) -> int:
-    """Run a bundle with `--doctor`, which prints its findings, and return its exit status.
+    """Run a bundle with `--doctor`, which prints the results of its checks; return its exit status.
 
     Raises CannotExamine.
     """

@@ -192,7 +192,7 @@ def test_a_host_that_does_not_answer(fleet: SshFleet) -> None:
 
 def test_no_python(fleet: SshFleet) -> None:
     error = failure(fleet.hosts["alice"].host(python="python9"), fleet.options)
-    assert error.code == "python" and "there is no python9" in error.message
+    assert error.code == "python" and "no command python9" in error.message
 
 
 def test_an_old_python(fleet: SshFleet) -> None:
