@@ -103,7 +103,7 @@ class Connected:
                     return LocalFrame(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
             if self.link.vehicle is not None and now - asked > 1.0:
                 asked = now
-                self.link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, position, 1e6 / 20)
+                self.link.send_once(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, position, 1e6 / 20)
         raise Unready(f"no autopilot with a position on {url} within 90 s")
 
 

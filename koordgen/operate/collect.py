@@ -1,6 +1,6 @@
 """Collection of robots' traces and logs from their hosts into one run folder.
 
-A file is fetched as NAME.part, and is renamed to NAME when it is complete, as long as it was on the host at the start.
+A file is fetched as NAME.part. It is renamed to NAME when it is as long as the host's file was at the start.
 A later collection into the same folder fetches only the missing bytes. Whenever a robot's agent starts again, its
 current trace on the host is renamed to an older, numbered part (koordgen/runtime/trace/parts.py). The collection
 recognises such a part by its last bytes, and does not fetch it again.
@@ -29,11 +29,11 @@ MARKER = ".koord-collect"  # file with the state for later collections; a simula
 LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # largest number of bytes that one request fetches
-OVERLAP = 512  # bytes that are fetched again and compared, to check that a file continues the one fetched before
+OVERLAP = 512  # bytes at a local file's end, fetched again to check that the host's file continues the local file
 
 
 class CannotCollect(Exception):
-    """The folder cannot be used, or the files of one robot cannot be collected into it.
+    """Raised if the folder cannot be used, or a robot's files cannot be collected into it.
 
     `help` says what to do.
     """
@@ -44,7 +44,7 @@ class CannotCollect(Exception):
 
 
 class Collected(Node):
-    """Number of files of one robot, and the bytes that this collection fetched."""
+    """Number of one robot's files, and number of bytes that this collection fetched for the robot."""
 
     robot: str
     files: int
@@ -66,7 +66,7 @@ class Folder:
         path = self.path
         if path.exists() and (not path.is_dir() or (any(path.iterdir()) and not (path / MARKER).is_file())):
             raise CannotCollect(
-                f"{path}: holds something that `koordgen collect` did not write", "choose another -o FOLDER"
+                f"{path}: contains files that `koordgen collect` did not write", "choose another folder with -o"
             )
         path.mkdir(parents=True, exist_ok=True)
         self._marker = (path / MARKER).open("a+", encoding="utf-8")
@@ -74,7 +74,9 @@ class Folder:
             fcntl.flock(self._marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._marker.close()
-            raise CannotCollect(f"{path}: another collection into it runs", "wait for its end") from None
+            raise CannotCollect(
+                f"{path}: another collection runs here", "wait until the other collection has ended"
+            ) from None
         self._marker.seek(0)
         with suppress(ValueError):
             found = json.loads(self._marker.read() or "{}")
@@ -139,7 +141,7 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
                 ahead = (await clock_offset(session)).ahead
                 try:
                     found[robot] = await collect(session, robot, into, ahead, progress)
-                except CannotCollect:  # the agent may have begun another part after the files were listed: try again
+                except CannotCollect:  # try again: the agent may have begun another part after the files were listed
                     found[robot] = await collect(session, robot, into, ahead, progress)
                 if not programs:
                     programs.extend(await _programs(session, robot))
@@ -153,7 +155,7 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
 async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
     """Return the program files of each release on the host, which are needed to replay a trace.
 
-    They are the program, its params and its extern functions.
+    The files are the program, its params and its extern functions.
     """
     deployment = (await session.call("inspect"))["deployment"]
     found = []
@@ -184,11 +186,11 @@ async def collect(
 
 
 def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
-    """Raise CannotCollect unless all names are those of trace files: they become paths on this computer."""
+    """Raise CannotCollect unless all names are names of trace files: names become local paths."""
     for name in names:
         if "/" in name or not name.startswith(TRACE.partition(".")[0]) or not name.endswith(".jsonl"):
             raise CannotCollect(
-                f"{robot}: its host lists {name!r}, which is no trace", "look at the folder traces/ there"
+                f"{robot}: its host lists {name!r}, which is no trace", "look at the folder traces/ on the robot's host"
             )
 
 
@@ -210,7 +212,8 @@ async def _recognise_current(session: Session, robot: str, folder: Path, sizes: 
             still, more = await _is_continued(session, robot, TRACE, current, sizes.get(TRACE, 0))
             if not still:
                 raise _other(current)
-            return fetched + more  # the agent began another part during the last collection: the name is right
+            # the agent began this part during the last collection, so the local file has the right name already
+            return fetched + more
     current.replace(folder / name)
     (folder / f"{TRACE}{PART}").unlink(missing_ok=True)
     return fetched
@@ -271,14 +274,14 @@ async def _bytes(session: Session, robot: str, name: str, offset: int, length: i
     answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
     if len(answer.data) != length:
         raise CannotCollect(
-            f"{robot}: {name} has changed while it was fetched", "collect again: what was fetched stays"
+            f"{robot}: {name} has changed while it was fetched", "run the command again; complete files are kept"
         )
     return answer.data
 
 
 def _other(path: Path) -> CannotCollect:
-    help = "collect into a new folder: what stands in this one is kept"
-    return CannotCollect(f"{path} is of another recording than the file of that name on the robot", help)
+    help = "collect into a new folder; the files in this folder are kept"
+    return CannotCollect(f"{path} is of another recording than the robot's file of the same name", help)
 
 
 async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -> int:
@@ -288,7 +291,8 @@ async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -
     """
     path, known, fetched = into.robot(robot) / LOG, into.known(robot), 0
     with path.open("ab") as file:
-        file.truncate(int(known.get("size", 0)))  # lines after the last recorded state are fetched again
+        # first remove the lines after the recorded state: they are fetched again
+        file.truncate(int(known.get("size", 0)))
         file.seek(0, os.SEEK_END)
         cursor = known.get("next", 0.0)
         while True:

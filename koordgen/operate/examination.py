@@ -21,18 +21,18 @@ class Examined(Node):
     """Result of one robot's `doctor`.
 
     status: exit status.
-    findings: results of the checks, in the format of the command's JSON document.
-    problem: reason why there are no findings; empty if there are.
+    checks: results of the checks, in the format of the JSON document that `doctor` prints.
+    problem: reason why `checks` is empty; "" if `doctor` ran.
     """
 
     robot: str
     status: int
-    findings: tuple[dict[str, Any], ...]
+    checks: tuple[dict[str, Any], ...]
     problem: str = ""
 
     def count(self, state: str) -> int:
-        """Return how many findings have this state."""
-        return Counter(each["state"] for each in self.findings)[state]
+        """Return how many checks have this state."""
+        return Counter(each["state"] for each in self.checks)[state]
 
 
 async def examine(sessions: Sessions) -> list[Examined]:
@@ -67,21 +67,21 @@ def _problem(error: HostError) -> str:
 
 
 def worst(examined: Sequence[Examined]) -> int:
-    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files), or 0 (no problem)."""
+    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files) or 0 (no problem)."""
     return max((each.status for each in examined), default=0)
 
 
 def to_json(examined: Sequence[Examined]) -> str:
-    """Return all robots' findings as one JSON document."""
+    """Return the results of all robots' checks as one JSON document."""
     robots = [
-        {"robot": each.robot, "status": each.status, "problem": each.problem, "findings": list(each.findings)}
+        {"robot": each.robot, "status": each.status, "problem": each.problem, "findings": list(each.checks)}
         for each in examined
     ]
     return json.dumps({"status": worst(examined), "robots": robots}, indent=2)
 
 
 def table(examined: Sequence[Examined]) -> str:
-    """Return a table with the number of each robot's findings by state, and the findings that are not ok."""
+    """Return a table with the number of each robot's checks by state, and the checks that are not ok."""
     width = max(len("robot"), *(len(each.robot) for each in examined))
     lines = [f"{'robot':<{width}}  " + "  ".join(f"{state:>4}" for state in _STATES)]
     for each in examined:
@@ -89,7 +89,7 @@ def table(examined: Sequence[Examined]) -> str:
             lines.append(f"{each.robot:<{width}}     -     -     -  {each.problem}")
             continue
         lines.append(f"{each.robot:<{width}}  " + "  ".join(f"{each.count(state):>4}" for state in _STATES))
-        lines += [f"  {_line(finding)}" for finding in each.findings if finding["state"] != "ok"]
+        lines += [f"  {_line(check)}" for check in each.checks if check["state"] != "ok"]
     return "\n".join(lines)
 
 

@@ -22,7 +22,7 @@ from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
 from koordgen.runtime.ops.status import Asking
 
-PATIENCE = 2.0  # seconds to wait for the answers; all robots are asked in parallel
+PATIENCE = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
 _REPEAT = 0.05  # seconds between two requests to one robot
 _COLUMNS = (
     "robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "battery", "disk", "temp", "notes",
@@ -32,7 +32,7 @@ _COLUMNS = (
 class Asked(Node):
     """Answer of one robot.
 
-    place: control port that was asked.
+    place: address and port to which the request was sent.
     report: status report of the agent; None without an answer.
     after: seconds until the answer.
     note: reason why there is no answer, or what is wrong with the answer.
@@ -46,32 +46,32 @@ class Asked(Node):
     host: Installed | None = None
 
 
-def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list[Asked]:
-    """Ask all robots in parallel for at most `patience` seconds.
+def ask_all(fleet: Fleet, key: bytes | None, timeout: float = PATIENCE) -> list[Asked]:
+    """Ask all robots in parallel for at most `timeout` seconds.
 
     Return the answers in the order of the fleet file.
     """
-    answers = [Asked(place, None, patience, "no answer") for place in fleet.places]
+    answers = [Asked(place, None, timeout, "no answer") for place in fleet.places]
     began = time.monotonic()
 
     def ask(index: int) -> None:
-        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, patience)
+        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, timeout)
 
     threads = [threading.Thread(target=ask, args=(i,), daemon=True) for i in range(len(answers))]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+        thread.join(max(0.0, began + timeout + 0.2 - time.monotonic()))
     return list(answers)
 
 
-def ask_one(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
-    """Ask one robot repeatedly until it answers, or `patience` seconds have passed since `began`.
+def ask_one(place: Place, application: int, key: bytes | None, began: float, timeout: float) -> Asked:
+    """Ask one robot repeatedly until it answers, or `timeout` seconds have passed since `began`.
 
     `began` is a monotonic time.
     """
     if not place.port:
-        return Asked(place, None, 0.0, "the fleet file has no address for it")
+        return Asked(place, None, 0.0, "the fleet file has no address for the robot")
     try:
         family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
@@ -80,7 +80,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         with suppress(OSError):
             asker.connect(address)
-        while asking.answer is None and (now := time.monotonic()) < began + patience:
+        while asking.answer is None and (now := time.monotonic()) < began + timeout:
             try:
                 for datagram in asking.datagrams():
                     asker.send(datagram)
@@ -88,7 +88,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
             except TimeoutError:
                 continue
             except ConnectionRefusedError:
-                note = "no answer: no agent runs there"
+                note = "no answer: no agent runs at this address"
                 time.sleep(_REPEAT)
             except OSError as error:
                 note = f"no answer: {error.strerror or error}"
@@ -101,7 +101,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
 
 
 def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
-    """Receive until the next request can be sent or the answer is complete.
+    """Receive one robot's answer until it is complete or the next request is due.
 
     Raises TimeoutError at `until`.
     """
@@ -112,7 +112,10 @@ def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
 
 
 def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed: Mapping[str, str]) -> list[Asked]:
-    """Return the answers; those of silent robots get their host's state (`found`) or failure (`failed`)."""
+    """Return the answers, completed for robots that did not answer.
+
+    Their answers get the state of their host (`found`), or the failure of their host (`failed`).
+    """
     return [
         replace(a, host=found[a.place.name], note=found[a.place.name].note)
         if a.place.name in found
@@ -131,12 +134,13 @@ def release_of(asked: Asked) -> str:
 
 
 def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
-    """Return robot -> release for the robots whose release differs from that of most robots.
+    """Return robot -> release for the robots whose release differs from the release of most robots.
 
     A release may be running or installed. The result is empty when all releases are equal. A fleet with several
     releases cannot begin a mission.
     """
-    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}  # release ids differ with the key, too
+    # release ids also depend on the key, so hosts with different keys have different ids
+    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}
     builds = {a.place.name: release_of(a) for a in answers if a.report is not None or a.host is not None}
     return _odd(hosts) | _odd(builds)
 
@@ -170,7 +174,7 @@ def table(answers: Sequence[Asked]) -> str:
     lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     if odd := odd_releases(answers):
         named = ", ".join(f"{name} ({release[:8] or 'none'})" for name, release in odd.items())
-        lines.append(f"other releases than the rest: {named}; a mission begins only among robots of one release")
+        lines.append(f"robots whose release differs from most: {named}; a mission needs one release on all robots")
     return "\n".join(lines)
 
 
@@ -200,7 +204,7 @@ def _row(asked: Asked) -> tuple[str, ...]:
 def _silent_row(asked: Asked) -> tuple[str, ...]:
     """Return the row of a robot whose agent gave no answer.
 
-    It shows its host's answer if the host was asked.
+    The row shows the answer of the robot's host if the host was asked.
     """
     note = f"{asked.note} ({asked.place.host}:{asked.place.port})"
     if (host := asked.host) is None:

@@ -98,7 +98,7 @@ def test_a_body_that_is_lost_or_has_no_pose_is_not_passed_on() -> None:
     assert "alice" in passed.frame({"alice": body(1.0)}, 1.0, 1.0)
     for now in (1.1, 1.2, 3.0):
         assert not passed.frame({"alice": body(1.0), "bert": body(float("nan"))}, now, now), "frozen, and occluded"
-    told = passed.told(3.0, 1.0)
+    told = passed.summary(3.0, 1.0)
     assert "alice NOT SEEN" in told and "bert NOT SEEN" in told
     assert "alice" in passed.frame({"alice": body(1.001)}, 3.1, 3.1)
 
@@ -107,8 +107,8 @@ def test_what_is_told() -> None:
     passed = forwarder()
     for i in range(50):
         passed.frame({"alice": body(i * 0.01, -1.0), "wand": body(0.0)}, i * 0.02, i * 0.02)
-    assert passed.told(1.0, 1.0) == "alice 50/s (0.49, -1.00, 0.00)  bert NOT SEEN  not in the fleet: wand"
-    assert "not in the fleet" not in passed.told(3.0, 1.0)
+    assert passed.summary(1.0, 1.0) == "alice 50/s (0.49, -1.00, 0.00)  bert NOT SEEN  not in the fleet: wand"
+    assert "not in the fleet" not in passed.summary(3.0, 1.0)
 
 
 def test_who_is_told_and_where(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_feed_that_is_no_address_and_a_fleet_that_takes_none(tmp_path: Path) -
     with pytest.raises(CannotServe, match="alice: feed 'serial:a' is not understood"):
         receivers(fleet, all_targets())
     own = "\n".join(line for line in FLEET.splitlines() if "alice" not in line and "bert" not in line)
-    with pytest.raises(CannotServe, match="no robot of this fleet takes"):
+    with pytest.raises(CannotServe, match="no robot of this fleet receives"):
         receivers(fleet_of(written(tmp_path, own)), all_targets())
 
 
@@ -207,7 +207,7 @@ def test_a_system_that_goes_ends_it(
     fake(monkeypatch, fails=True)
     assert main(["basestation", str(written(tmp_path)), "--system", "vicon", "--host", "h"]) == 5
     told = capsys.readouterr()
-    assert "the motion capture system is gone: connection lost" in told.err and told.out == ""
+    assert "the motion capture system failed: connection lost" in told.err and told.out == ""
 
 
 def test_without_the_package(

@@ -150,10 +150,10 @@ def test_what_people_read(
     told = capsys.readouterr()
     lines = told.out.splitlines()
     assert lines[0].startswith("alice  is stopping: it lands or brakes, answered after ")
-    assert lines[2].startswith("cleo   NO ANSWER: no agent runs there (127.0.0.1:")
+    assert lines[2].startswith("cleo   NO ANSWER: no agent runs at this address (127.0.0.1:")
     assert told.err == (
         "error: 1 of 3 robots did not answer\n"
-        "  help: stop them by hand, now: remote control, kill switch, or cut their power\n"
+        "  help: stop these robots by hand now: by remote control, by kill switch, or by cutting their power\n"
     )
 
 
@@ -190,8 +190,8 @@ def test_a_key_that_others_may_read_stops_all_the_same(
     [
         (None, "No such file"),
         ("robots: [", "not YAML"),
-        ("delta: 0.1\n", "it lists no robots"),
-        ("- 1\n", "it lists no robots"),
+        ("delta: 0.1\n", "the fleet file lists no robots"),
+        ("- 1\n", "the fleet file lists no robots"),
         ("robots: [{name: a, address: 'localhost:1'}]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]\nkey: mine.key\n", "mine.key: No such file"),
@@ -206,7 +206,7 @@ def test_when_nobody_can_be_called(
         path.write_text(text)
     assert main(["estop", str(path)]) == 1
     told = capsys.readouterr().err
-    assert words in told and "no robot was called; stop them by hand" in told
+    assert words in told and "no robot was called; stop these robots by hand" in told
 
 
 def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> No
     ]
     assert (fleet.application, fleet.key) == (9, "")
     results = estop.stop_all(fleet.places[:2], 9, None, 0.1)
-    assert [r.note for r in results] == ["the fleet file has no address for it"] * 2
+    assert [r.note for r in results] == ["the fleet file has no address for the robot"] * 2
 
 
 ONE_LINE = """robots: [{name: al, target: quad, address: '10.0.0.1:47100'}, {address: 10.0.0.2:47101, name: bo}]

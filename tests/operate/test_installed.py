@@ -74,4 +74,4 @@ def test_robots_with_another_key_are_odd_although_they_have_the_same_bundles() -
     }
     answers = with_hosts([asked(name) for name in hosts], hosts, {})
     assert odd_releases(answers) == {"cleo": "b" * 16}
-    assert "other releases than the rest: cleo (bbbbbbbb)" in table(answers)
+    assert "robots whose release differs from most: cleo (bbbbbbbb)" in table(answers)

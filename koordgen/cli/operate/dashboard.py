@@ -51,10 +51,10 @@ def dashboard(options: Namespace) -> int:
     except (OSError, OverflowError) as error:
         board.close()
         message = f"{allowed.host}:{options.port}: {getattr(error, 'strerror', None) or error}"
-        raise console.Failure(console.SURROUNDINGS, message, "`--port N` names another port") from None
+        raise console.Failure(console.SURROUNDINGS, message, "choose another port with `--port N`") from None
     print(f"dashboard: {server.url}", flush=True)
     if allowed.token:
-        print(f"it asks for the token that is in {options.token}", flush=True)
+        print(f"a browser must enter the token in {options.token}", flush=True)
     poller.start()
     threading.Thread(target=server.serve_forever, daemon=True).start()
     if options.browser:
@@ -96,7 +96,7 @@ def _facts(fleet: Fleet, path: str) -> Facts:
         read, _ = read_fleet(path, all_targets(), None)
     except Rejected as error:
         reason = error.found[0][1].message if error.found else "it cannot be read"
-        console.notify(f"warning: the map has no obstacles: {path}: {reason}")
+        console.notify(f"warning: the map shows no obstacles: {path}: {reason}")
         return Facts(fleet, {})
     plain = {
         "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
@@ -118,7 +118,7 @@ def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]
 
 
 def _open(url: str) -> None:
-    """Show the page in a browser, if a graphical desktop runs: a text browser would use this terminal."""
+    """Show the page in a browser if a graphical desktop runs; a text browser would use this terminal."""
     if sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         import webbrowser
 

@@ -134,7 +134,7 @@ class RoverDrive:
             speed = self._take(message, now) if message.get_msgId() in _RATES else speed
             self._note(message)
             if self._parameters is not None:
-                self._parameters.take(message)
+                self._parameters.handle(message)
         self._link.greet(now)
         vehicle = self._link.vehicle
         if vehicle is not None and not self._is_rover:
@@ -189,7 +189,7 @@ class RoverDrive:
         self._parameters.poll(self._link, now)
         if self._receiver is None and now - self._sticks_asked >= 1.0 and self._link.vehicle is not None:
             self._sticks_asked = now
-            self._link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
+            self._link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
         if not self._parameters.done(now):
             return None
         armed = [Finding("state", "warn", "armed", "disarmed", STAYS_ARMED)] if self._armed else []
@@ -241,7 +241,7 @@ class RoverDrive:
             missing = now - self._came.get(number, -math.inf) > 1.5
             if missing and now - self._asked.get(number, -math.inf) >= 1.0:
                 self._asked[number] = now
-                self._link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate)
+                self._link.send_once(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate)
         if not self._version:
             self._link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
@@ -297,7 +297,7 @@ class RoverDrive:
         if self._was_armed and standing and not self._taken:
             self._link.send(self._override(NEUTRAL, NEUTRAL))
             for _ in range(3):  # repeated, because after closing, the agent cannot see whether the command arrived
-                self._link.tell(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+                self._link.send_once(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             self._was_armed = False
         self._watch.close(standing)
         self._link.close()

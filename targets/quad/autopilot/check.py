@@ -59,7 +59,7 @@ class Heard:
     def ask(self) -> None:
         """Request the messages that the autopilot does not stream."""
         for number in SELDOM:
-            self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
+            self.link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
     def take(self, message: Message, now: float) -> None:
         """Record one message of the vehicle, received at `now`."""
@@ -70,7 +70,7 @@ class Heard:
         self.newest[number] = message
         self.telemetry.take(message, now)
         if self.parameters is not None:
-            self.parameters.take(message)
+            self.parameters.handle(message)
 
     def rate(self, message: int) -> float:
         """Return the mean rate of a message (Hz); 0 if fewer than two were received."""
@@ -112,7 +112,7 @@ def listen(
                 heard.ask()
             if not heard.examined and (math.isfinite(known) or now - begun >= DEADLINE / 2):
                 heard.examined = True
-                link.tell(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
+                link.send_once(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
         elif now - begun >= SILENCE:
             break
         known = min(known, now) if heard.telemetry.fresh(now) else known

@@ -111,7 +111,7 @@ class Flight:
         for message in self.heard:
             self._streams.note(message.get_msgId(), now)
             self._telemetry.take(message, now)
-            self._review.take(message)
+            self._review.handle(message)
         self._link.greet(now)
         if self.phase is not Phase.RESTED:
             self._watch(now)
@@ -172,7 +172,7 @@ class Flight:
         self._review.poll(self._link, now)
         told = None not in (state.yaw, state.landed, state.mode)
         if state.position is None or not state.fresh(now) or not told:
-            if differing := self._review.news():  # a wrong parameter may be why there is no estimate
+            if differing := self._review.unreported():  # a wrong parameter may be why there is no estimate
                 self._doing = f"waiting for its position estimate; {differing}"
             return
         if self._link.crowded(now):
@@ -187,7 +187,7 @@ class Flight:
             self._doing = f"not taking off: {fault}"
         elif not self._review.known:
             self._doing = "reading the autopilot's parameters"
-        elif differing := self._review.news():
+        elif differing := self._review.unreported():
             self._doing = differing
         elif self._link.rivalled(now) and not self._rivalled:
             self._rivalled, self._doing = True, RIVAL

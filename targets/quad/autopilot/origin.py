@@ -91,7 +91,7 @@ class Origin:
         self._next = now + EVERY
         if self._told is None:
             self._asked += 1
-            link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
+            link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if pose is None or self._placed:
             return
         if self._told is None and abs(pose.position.z - self._height) > LIFTED:

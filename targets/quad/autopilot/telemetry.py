@@ -45,7 +45,7 @@ class Streams:
             silent = now - self._came.get(message, -math.inf) > 1.0
             if (silent or occasional) and now - self._asked.get(message, -math.inf) >= (2.0 if occasional else 1.0):
                 self._asked[message] = now
-                link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+                link.send_once(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
 
     def restart(self) -> None:
         """Forget all requests, because the autopilot has restarted: the next poll requests all streams again."""

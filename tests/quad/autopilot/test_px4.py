@@ -109,7 +109,7 @@ def test_no_take_off_with_one_that_would_not_land_when_the_agent_dies() -> None:
     copter.params["COM_OBL_RC_ACT"] = 0.0
     rig.quad.start(rig.now)
     rig.run(10.0)
-    said = "not taking off: COM_OBL_RC_ACT is 0, wanted 4: else the vehicle does not land when the agent dies (set"
+    said = "not taking off: COM_OBL_RC_ACT is 0, wanted 4: else the vehicle does not land when the agent dies (correct"
     assert rig.quad.progress.startswith(said)
     assert not sent(rig, SETPOINT)
     copter.params["COM_OBL_RC_ACT"] = 4.0

@@ -239,7 +239,7 @@ def time_to_stop(seed: int, loss: float, period: float = 0.02, delay: float = 0.
             under_way.remove(each)
             if each[1]:
                 robot.wires.arrived.append(each[2])
-            elif stopping.take(each[2], now):
+            elif stopping.receive(each[2], now):
                 next_call = now
         if next_call <= now:
             send(stopping.datagram(now), True, now)
@@ -267,12 +267,12 @@ def test_at_two_thirds_lost_it_gets_there_too() -> None:
 def test_an_agent_that_began_anew_amid_the_call_is_stopped_too() -> None:
     stopping, old, new = Stopping(0, KEY, NONCE), Robot(secret=b"a" * 32), Robot(secret=b"b" * 32)
     old.get(stopping.datagram(0.0))
-    assert stopping.take(old.wires.answers[0], 0.01)
+    assert stopping.receive(old.wires.answers[0], 0.01)
     now = 0.02
     while not stopping.phase and now < 1.0:
         new.get(stopping.datagram(now))
         for answer in new.wires.answers:
-            stopping.take(answer, now)
+            stopping.receive(answer, now)
         now += 0.01
     assert stopping.phase == "resting" and new.poll()
 
@@ -284,7 +284,7 @@ def test_the_caller_believes_no_recorded_answer() -> None:
         (Stopped(NONCE, 1, "resting"), OTHER),
         (Offer(b"nonce-00", 1, bytes(24), "bert"), KEY),
     ):
-        assert not stopping.take(encode(order, key), 0.0)
+        assert not stopping.receive(encode(order, key), 0.0)
     assert not stopping.phase and isinstance(decode(stopping.datagram(0.0), KEY), Ask)
 
 
