@@ -1,12 +1,12 @@
-"""EKF origin of an autopilot with external positioning: set once, or adopted if the autopilot has one already.
+"""EKF origin of an autopilot with external positioning, set by the agent if there is none yet.
 
 An EKF that receives local positions needs an origin on earth. The EKF accepts the first SET_GPS_GLOBAL_ORIGIN after its
-initialisation; it loses earlier ones and ignores later ones. So the message is repeated until the autopilot reports
+initialisation; it loses earlier messages and ignores later ones. So the message is repeated until the autopilot reports
 global positions. Poses are then sent relative to the origin that the autopilot reports.
 
-The requested origin has the fleet's latitude and longitude, and the robot's own altitude. The reason for the altitude:
-ArduPilot resets its height datum after the first origin, and from then on counts the robot's height above the origin
-twice. So that height must be zero.
+The requested origin has the latitude and longitude of the fleet's origin, and the altitude of the robot. ArduPilot
+resets its height datum after the first origin, and from then on counts the robot's height above the origin twice. So
+the robot's height above the requested origin must be zero.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ LIFTED = 0.02  # m by which the robot's height must change before the requested 
 
 
 class Origin:
-    """EKF origin of one autopilot. `ned` converts poses to its frame; `resets` counts how often that frame changed."""
+    """EKF origin of one autopilot.
+
+    `ned`: conversion of poses to the NED frame about this origin. `resets`: how often this frame has changed."""
 
     def __init__(self, frame: LocalFrame, origin: tuple[float, float, float]) -> None:
         self._frame, self._fleet = frame, origin
@@ -47,7 +49,7 @@ class Origin:
         return round(latitude * 1e7), round(longitude * 1e7), round((altitude + self._height) * 1e3)
 
     def take(self, message: Message) -> None:
-        """Take one of the vehicle's messages."""
+        """Process one message of the vehicle."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
                 self._initialised |= "EKF3 IMU" in str(message.text) and "initialised" in str(message.text)
@@ -77,15 +79,17 @@ class Origin:
 
     @property
     def known(self) -> bool:
-        """Return whether `ned` is right.
+        """Return whether `ned` uses the autopilot's present origin.
 
-        It is right once the autopilot has reported its origin, or has left the request unanswered without an origin."""
+        This is the case once the autopilot has reported its origin. It is also the case if the autopilot has answered
+        no request for its origin and reports no global positions, because it then has no origin yet."""
         return self._told is not None or (self._asked > 1 and not self._placed)
 
     def poll(self, link: Link, pose: Pose | None, now: float) -> None:
-        """Request the autopilot's origin until it is known, and set an origin as long as the autopilot has none.
+        """Request the autopilot's origin until it is known, and set an origin while the autopilot has none.
 
-        It is set only if the robot's `pose` (ENU about the fleet's origin) is known, since its altitude is needed."""
+        An origin is set only if the robot's `pose` (ENU about the fleet's origin) is known, because the origin gets the
+        robot's altitude."""
         if link.vehicle is None or now < self._next or (self._told is not None and self._placed):
             return
         self._next = now + EVERY
