@@ -1,10 +1,11 @@
-"""Planner process: `python child.py FOLDER...`, started by `process.py`. FOLDERs are searched for modules.
+"""Planner process, started by `process.py` as `python child.py FOLDER...`.
 
-The process receives an order that names the planner, then answers questions until its standard input ends. That happens
-at the agent's end, however it ends.
+The process searches the FOLDERs for modules.
+The process receives an order that names the planner, then answers questions until its standard input ends. The standard
+input ends when the agent ends, also if the agent crashes.
 
-If a planner does not return, the system's alarm signal ends the process, even if the planner lets no other thread run
-and the agent has died.
+If a planner does not return, the system's alarm signal ends the process. This works even if the planner lets no other
+thread run and the agent has died.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ import os
 import signal
 import sys
 
-HANGING = 2.0  # seconds that a call may exceed its time before the alarm ends the process
+HANGING = 2.0  # seconds by which a call may exceed its time limit before the alarm ends the process
 
 
 def main() -> None:
-    """Serve the agent until it has ended."""
+    """Answer the agent's questions until the agent has ended."""
     answers = os.dup(1)
     os.dup2(2, 1)  # output that a user's planner prints goes to standard error
     import msgspec
@@ -57,11 +58,11 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.path[:1] = sys.argv[1:]  # instead of this file's own folder
+    sys.path[:1] = sys.argv[1:]  # modules are searched for in the FOLDERs, not in this file's folder
     try:
         main()
     except BrokenPipeError:
         pass
     finally:
         sys.stderr.flush()
-        os._exit(0)  # without waiting for threads and exit handlers of a user's planner
+        os._exit(0)  # ends without waiting for threads and exit handlers of a user's planner

@@ -167,7 +167,7 @@ def test_a_quad_in_motion_does_not_turn_into_an_obstacle() -> None:
 
 def test_a_quad_waits_for_its_planner_and_does_not_start_without_one() -> None:
     rig = rig_with(WALL, planner="nowhere:Nobody")
-    with pytest.raises(Unready, match="the planner nowhere:Nobody cannot be made"):
+    with pytest.raises(Unready, match="the planner nowhere:Nobody cannot be created"):
         rig.quad.start(rig.now)
 
 
@@ -178,4 +178,4 @@ def test_the_doctor_makes_the_planner() -> None:
 
     assert finding(planner="rrt-star") == Finding("planner", "ok", "rrt-star is ready")
     bad = finding(planner="nowhere:Nobody")
-    assert bad.state == "fail" and "nowhere:Nobody cannot be made: ModuleNotFoundError" in bad.found
+    assert bad.state == "fail" and "nowhere:Nobody cannot be created: ModuleNotFoundError" in bad.found
