@@ -1,6 +1,7 @@
 """Planner process, started by `process.py` as `python child.py FOLDER...`.
 
 The process searches the FOLDERs for modules.
+
 The process receives an order that names the planner, then answers questions until its standard input ends. The standard
 input ends when the agent ends, also if the agent crashes.
 

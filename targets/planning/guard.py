@@ -17,6 +17,7 @@ class Guard:
     """Check of the paths of a vehicle's reference point.
 
     The distance to keep from obstacles is the sum of `parts` (m, by name).
+
     A vehicle that is already nearer to an obstacle may leave this obstacle. On the first leg of its path, it must keep
     95 % of its present distance. On later legs, it must keep 95 % of the largest distance that it has had since it came
     too near. So targets that creep towards an obstacle are refused."""

@@ -28,7 +28,7 @@ class Surface:
 
     def __init__(self, mesh: Mesh) -> None:
         vertices = np.array([(p.x, p.y, p.z) for p in mesh.vertices])
-        self._corners: Array = vertices[np.array(mesh.faces, dtype=np.intp)]  # (faces, 3 corners, 3)
+        self._corners: Array = vertices[np.array(mesh.faces, dtype=np.intp)]  # shape: (faces, 3 corners, 3 axes)
         self._low, self._high = self._corners.min(axis=1), self._corners.max(axis=1)
         self.low = Point(*map(float, self._low.min(axis=0)))
         self.high = Point(*map(float, self._high.max(axis=0)))
@@ -55,7 +55,7 @@ class Triangle:
         u, v = b - a, c - a
         normal = Point(u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x)
         square = _inner(normal, normal)
-        self._normal = normal / math.sqrt(square) if square > 0 else None  # None: no area
+        self._normal = normal / math.sqrt(square) if square > 0 else None  # None without area
         self._offset = _inner(self._normal, a) if self._normal is not None else 0.0
 
     def distance(self, a: Point, b: Point, within: float) -> float:
@@ -93,7 +93,9 @@ def _inner(p: Point, q: Point) -> float:
 
 
 def _least(corners: Array, start: Array, d: Array) -> float:
-    """Return the least distance of `corners` (n triangles, 3 corners, 3) from the segment from `start` by `d`."""
+    """Return the least distance of triangles from the segment start + t d, 0 <= t <= 1.
+
+    `corners`: the corners of the triangles, of shape (n, 3 corners, 3 coordinates)."""
     first, sides = corners, np.roll(corners, -1, axis=1) - corners
     best = float(_segments(start, d, first.reshape(-1, 3), sides.reshape(-1, 3)).min())
     normal = np.cross(sides[:, 0], sides[:, 1])

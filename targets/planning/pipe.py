@@ -34,7 +34,7 @@ class Question(msgspec.Struct, frozen=True, array_like=True):
     goal: Point
     scene: Scene
     seconds: float
-    more: bytes = b""  # further data for a target's own judge
+    more: bytes = b""  # further data for the judge of a target
 
 
 class Answer(msgspec.Struct, frozen=True, array_like=True):
@@ -45,7 +45,7 @@ class Answer(msgspec.Struct, frozen=True, array_like=True):
     number: int
     path: Path
     reason: str
-    more: bytes = b""  # further data from a target's own judge
+    more: bytes = b""  # further data from the judge of a target
 
 
 def framed(message: Order | Question | Answer) -> bytes:
@@ -67,7 +67,7 @@ class Unframed:
         while len(self._waiting) >= HEAD:
             end = HEAD + int.from_bytes(self._waiting[:HEAD], "big")
             if end > HEAD + LONGEST:
-                raise ValueError(f"a message of {end - HEAD} bytes")
+                raise ValueError(f"a message of {end - HEAD} bytes is too long")
             if len(self._waiting) < end:
                 return
             message = bytes(self._waiting[HEAD:end])

@@ -355,4 +355,4 @@ class Beside:
             if end is not None:
                 with suppress(OSError):
                     end.close()
-        self._killed.append(child)  # `poll` waits for its end, because waiting here would block the agent for some ms
+        self._killed.append(child)  # `poll` later waits for the child's end, so that the agent does not block

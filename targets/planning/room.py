@@ -1,9 +1,9 @@
 """Free space of one planning question: obstacles, and the distance to keep from each obstacle.
 
 If the start of a path is nearer to an obstacle, the distance to keep is lowered to LEAVING times the start's distance,
-so that a robot can leave a tight place. A distance is not lowered below the least distance if the start has at least
-the least distance. Otherwise paths that are planned again and again, from ever nearer places, could come arbitrarily
-near to an obstacle.
+so that a robot can leave a tight place. If the start is not nearer than a least distance, paths must keep this least
+distance. Otherwise paths that are planned again and again, from ever nearer places, could come arbitrarily near to an
+obstacle.
 
 The test whether a straight line is clear is exact (`exact.py`, `mesh.py`). Only obstacles whose bounding box is near
 the bounding box of the line are measured.
@@ -141,8 +141,8 @@ def room(world: World, standing: Iterable[Thing], scene: Scene, start: Point) ->
     """Return the free space of a path from `start`. `standing`: the world's obstacles, made by `fixed`."""
     found = Room(start)
     found.keep(standing, world.kept, world.least)
-    # If an obstacle that the program passes contains the start, `inside` does not name this obstacle. It is an error,
-    # or the robot itself.
+    # If an obstacle that the program passes contains the start, `inside` does not name this obstacle. Such an obstacle
+    # is an error, or the robot itself.
     stuck = found.inside
     found.keep(_columns(scene, world.kept, start), world.kept)
     for path in scene.others:

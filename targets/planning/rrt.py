@@ -27,6 +27,7 @@ class Trees(Protocol):
 
     def connect(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
         """Return the corners of a path that RRT-Connect finds; None if it finds no path.
+
         `turn`: number of the search within a question; each search has its own random numbers."""
         ...
 
@@ -70,6 +71,7 @@ class Rrt:
         """Return the path with start and goal added to its corners; () if no corners were found.
 
         Return () also if the path is not clear.
+
         Position noise can put the start outside the arena. If the direct line to the first corner is then not clear,
         the path enters the arena at the place nearest to the start."""
         if between is None:

@@ -65,6 +65,7 @@ class Standstill:
 # Failed calls of the program's planner. They are the reason for standing of a robot that has no other command.
 
 FORGOTTEN = 5.0  # seconds after which a failed call of the planner no longer counts as the reason for standing
+
 # Failed calls with these reasons are no stall. In a mixed fleet, each robot's program may ask for a path to every task.
 # A car leaves the tasks in the air to quads, and a quad leaves the tasks on the ground to cars.
 ANOTHERS = ("the goal is not on the ground", "the goal is not above the ground")

@@ -40,7 +40,7 @@ _NO_OWN = (
 POSITIONING = {
     "gps_input": (
         Wanted("GPS1_TYPE", ("GPS_TYPE",), (14,), "else the autopilot ignores positions over MAVLink"),
-        Wanted("GPS1_DELAY_MS", ("GPS_DELAY_MS",), (50,), "with the default, positions err by 0.08 m, not 0.02 m"),
+        Wanted("GPS1_DELAY_MS", ("GPS_DELAY_MS",), (50,), "the default causes position errors of 0.08 m, not 0.02 m"),
         Wanted("EK3_SRC1_POSXY", (), (3,), "else the EKF does not use the position of the feed"),
         Wanted("EK3_SRC1_VELXY", (), (3,), "else the EKF does not use the velocity of the feed"),
         Wanted("EK3_SRC1_POSZ", (), (3,), "else the EKF does not use the height of the feed"),

@@ -46,10 +46,10 @@ class Heard:
 
     link: Link
     telemetry: Telemetry
-    first: dict[int, float] = field(default_factory=dict)  # arrival of the first message
-    last: dict[int, float] = field(default_factory=dict)  # arrival of the last message
-    count: dict[int, int] = field(default_factory=dict)  # number of messages after the first one
-    newest: dict[int, Message] = field(default_factory=dict)  # the last message
+    first: dict[int, float] = field(default_factory=dict)  # message id -> arrival time of the first message
+    last: dict[int, float] = field(default_factory=dict)  # message id -> arrival time of the last message
+    count: dict[int, int] = field(default_factory=dict)  # message id -> number of messages after the first
+    newest: dict[int, Message] = field(default_factory=dict)  # message id -> last message
     parameters: Parameters | None = None
     wall: float = 0.0  # this computer's time of day (seconds since 1970) when the last SYSTEM_TIME arrived
     began: float = 0.0  # time at which the record started

@@ -30,7 +30,7 @@ _FLAGS = {
     mavlink.EKF_VELOCITY_VERT: "vertical velocity",
     mavlink.EKF_POS_VERT_ABS: "height",
 }
-RELEASE, _TYPES = 255, {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # FIRMWARE_VERSION_TYPE
+RELEASE, _TYPES = 255, {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # MAVLink's version types
 _REFUSALS = ("PreArm:", "Arm:", "Preflight Fail:")
 # Sensors whose failure is a warning. The remote control is not in this table, because it may be absent. The motor
 # outputs are not in it either, because a safety switch may block them.
@@ -119,7 +119,7 @@ def _armed(heard: Heard) -> list[Finding]:
     if not heard.telemetry.armed:
         return []
     state = "flying" if heard.telemetry.flying else "armed"
-    return [Finding("state", "warn", state, "disarmed, on the ground", "disarm it; the agent will arm it")]
+    return [Finding("state", "warn", state, "disarmed, on the ground", "disarm it, the agent arms it")]
 
 
 def _estimate(heard: Heard) -> Finding:
@@ -131,7 +131,7 @@ def _estimate(heard: Heard) -> Finding:
     if heard.telemetry.position is None:
         hint = "the estimate takes about 45 s from power-up, and needs a positioning source that works"
         flags = "no report of the EKF" if report is None else f"EKF flags {report.flags:#x}"
-        return Finding("estimate", "fail", f"no position estimate yet: {flags}", f"one within {DEADLINE:g} s", hint)
+        return Finding("estimate", "fail", f"no position estimate yet: {flags}", f"a position in {DEADLINE:g} s", hint)
     if report is None:  # unexpected: `Telemetry` accepts a position only after an EKF report
         return Finding("estimate", "warn", "no report of the EKF", "5 reports a second", "check for a lossy link")
     lacking = [name for flag, name in _FLAGS.items() if not report.flags & flag]
@@ -141,8 +141,8 @@ def _estimate(heard: Heard) -> Finding:
         )
     worst, name = max(_disagreements(report))
     told = f"EKF flags {report.flags:#x}, largest innovation {worst:.2f} of its limit: {name}"
-    if not worst < 0.5:  # also if it is NaN
-        hint = f"the sensors disagree about {name}; from 1 on, the autopilot refuses to arm, or lands by itself"
+    if not worst < 0.5:  # true also if `worst` is NaN
+        hint = f"the sensors disagree about {name}; at the limit, the autopilot refuses to arm, or lands by itself"
         return Finding("estimate", "warn" if worst < 1.0 else "fail", told, "less than 0.5", hint)
     return Finding("estimate", "ok", told)
 

@@ -22,9 +22,10 @@ from targets.mavlink.framing import Message
 # Start of GPS time (1980-01-06) in Unix time, leap seconds between GPS time and UTC, length of a week; all in seconds.
 GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800
 # Standard deviations that are reported to the EKF. They are larger than those of a motion capture system.
-HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # metres, metres, m/s
+HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # horizontal position (m), vertical position (m), velocity (m/s)
 ANGLE = 0.02  # radians
 _DILUTION, _SATELLITES = 0.5, 16  # dilution of precision, number of satellites: better than arming checks demand
+
 # Indices of the diagonal in a 6 x 6 covariance matrix that is sent as its upper triangle, row by row.
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 

@@ -21,7 +21,7 @@ class Firmware:
     lands: int  # the mode in which the vehicle lands where it is
     returns: tuple[int, ...]  # other modes that end on the ground without further commands
     ask_mode: Callable[[int], tuple[float, ...]]  # the parameters of the command DO_SET_MODE for a mode
-    rises: bool  # True: setpoints that rise make the vehicle take off. False: the command NAV_TAKEOFF does
+    rises: bool  # how the vehicle takes off: True: by rising setpoints, False: by the command NAV_TAKEOFF
     rates: Mapping[int, float]  # MAVLink message id -> requested rate, Hz
     occasional: tuple[int, ...]  # ids in `rates` of messages whose absence is no fault
     parameters: tuple[Wanted, ...]  # parameters that each flight depends on

@@ -27,12 +27,14 @@ from targets.quad.autopilot.vehicles import identified
 
 SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as lost for good
 AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as complete
+
 # If the vehicle is disarmed before the take-off within this time (s) after arming, a person or a failsafe has disarmed
 # it. ArduPilot itself disarms a vehicle that does not take off only after 10 s (DISARM_DELAY).
 BY_HAND = 5.0
 BLIND = 3.0  # seconds without a position estimate after which a climb is aborted
 STILL = 0.1  # m/s; a slower vehicle in LAND mode counts as touched down
 QUIET = 0.4  # seconds without any message, in flight, after which `progress` reports that the link is silent
+
 # Seconds for which setpoints are sent before the mode that follows them is requested: PX4 leaves OFFBOARD without them.
 CALLING = 1.0
 CLIMB, RISING = 0.5, 0.8  # take-off setpoints rise at CLIMB (m/s), or at RISING times the climb limit if that is less
@@ -246,7 +248,9 @@ class Flight:
     def _arm(self, now: float) -> None:
         self._call()
         if self._telemetry.mode != self._firmware.follows:
-            self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; asking again")
+            self._enter(
+                Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; switching again"
+            )
         elif self._telemetry.armed:
             self._enter(Phase.CLIMBING, now, "taking off")
         else:
@@ -260,7 +264,7 @@ class Flight:
             said = self._link.reasons(self._since)
             words = f"disarmed before take-off{': ' if said else ''}{said}"
             if now - self._since < BY_HAND:
-                raise Unready(words, "a person or a failsafe disarmed it; check the vehicle and restart the agent")
+                raise Unready(words, "a person or a failsafe has acted; check the vehicle and restart the agent")
             self._enter(Phase.ARMING, now, f"{words}; arming again")
         elif self._airborne:
             self._rise(now)

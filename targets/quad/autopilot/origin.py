@@ -21,7 +21,7 @@ from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.quad.autopilot.external import Ned
 
-EVERY = 1.0  # seconds between two requests
+EVERY = 1.0  # seconds between two requests to the autopilot for its origin
 LIFTED = 0.02  # m by which the robot's height must change before the requested origin changes
 
 
@@ -34,7 +34,7 @@ class Origin:
         self._frame, self._fleet = frame, origin
         self._height = 0.0  # m, height of the requested origin above the fleet's origin
         self._boot = 0  # ms since the autopilot's boot, in its last GLOBAL_POSITION_INT
-        self._told: tuple[int, int, int] | None = None  # the origin that the autopilot reported, in units of `_wanted`
+        self._told: tuple[int, int, int] | None = None  # reported origin, in units of `_wanted`
         self._next = -math.inf  # earliest time of the next request
         self._initialised = False  # whether the EKF is initialised
         self._placed = False  # whether the autopilot reports global positions
@@ -53,10 +53,10 @@ class Origin:
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
                 self._initialised |= "EKF3 IMU" in str(message.text) and "initialised" in str(message.text)
-            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:  # an agent that started later missed the STATUSTEXT
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:  # for agents that missed the STATUSTEXT
                 self._initialised |= bool(message.flags & mavlink.EKF_ATTITUDE)
             case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
-                if message.time_boot_ms + 1000 < self._boot:  # the autopilot restarted
+                if message.time_boot_ms + 1000 < self._boot:  # the autopilot has restarted
                     self._initialised, self._told, self._asked = False, None, 0
                 self._boot, self._placed = message.time_boot_ms, bool(message.lat or message.lon)
             case mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:

@@ -222,10 +222,10 @@ class Positioning:
         place = coordinates(feed.pose.position)
         found = f"{rate:.0f} Hz on {self._setting}, {age * 1e3:.0f} ms old: {place} m{feed.dropped}"
         if self._track.jumps:
-            why = "jumps land the robot in flight: check the markers and the base station's network"
+            why = "jumps make the robot land in flight: check the markers and the base station's network"
             return [Finding("feed", "fail", f"{found}; {self._track.jumps} samples jumped", "none that jumps", why)]
         if age > STALE:
-            why = "a silent feed lands the robot in flight: check the base station and its network"
+            why = "a silent feed makes the robot land in flight: check the base station and its network"
             return [Finding("feed", "fail", found, f"not older than {STALE * 1e3:.0f} ms", why)]
         if rate < LEAST_RATE:
             why = "the robot flies less exactly at this rate: raise the base station's rate"
@@ -238,7 +238,7 @@ class Positioning:
         """Check the distance of the estimate from the source; [] if the estimate or the source is unknown."""
         if (off := self._apart(state)) is None:
             return []
-        told = f"{off:.2f} m from the position source"
+        told = f"the estimate is {off:.2f} m from the position source"
         if off > APART:
             why = "this prevents the take-off: check the fleet's origin and the autopilot's parameters for its source"
             return [Finding("followed", "fail", told, f"within {APART:g} m", why)]

@@ -61,7 +61,7 @@ class Telemetry:
 
     def __init__(self, frame: LocalFrame) -> None:
         self._frame = frame
-        self._local: tuple[Point, Point] | None = None  # position about the EKF's origin, and `position` at that time
+        self._local: tuple[Point, Point] | None = None  # last position about the EKF's origin, and `position` then
         self.firmware = ARDUPILOT  # assumed until the firmware is known
         self._boot: int | None = None  # ms since the autopilot's boot, in its newest position message
         self._earlier: int | None = None  # boot time (ms) of the last message if it is not the newest, else None
@@ -71,14 +71,14 @@ class Telemetry:
         self.mode: int | None = None  # flight mode: HEARTBEAT.custom_mode
         self.mode_time = -math.inf  # time at which the last heartbeat arrived
         self.armed = False
-        self.landed: int | None = None  # MAV_LANDED_STATE
+        self.landed: int | None = None  # state as in MAV_LANDED_STATE: on the ground, in the air, ...
         self.position: Point | None = None
-        self.velocity = Point()  # m/s, ENU
-        self.yaw: float | None = None  # rad from east; None where the autopilot does not know it
+        self.velocity = Point()  # velocity in ENU, m/s
+        self.yaw: float | None = None  # rad from east; None if the autopilot does not know the yaw
         self.time: float | None = None  # time at which `position` arrived
         self.amsl = 0.0  # m, altitude AMSL
         self.relative = 0.0  # m, height above home
-        self.battery: float | None = None  # charge, 0 to 1
+        self.battery: float | None = None  # battery charge, 0 to 1
         self.followed: Point | None = None  # the position setpoint that the autopilot reports
         self.followed_time = -math.inf  # time at which the last report of the setpoint arrived
 
@@ -96,7 +96,8 @@ class Telemetry:
                 self.battery = message.battery_remaining / 100 if 0 <= message.battery_remaining <= 100 else None
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
                 self.landed = message.landed_state or None
-            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # equal flags
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
+                # The flags have the same bits in both messages.
                 self._ekf, self._ekf_time = message.flags, now
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
                 if math.isfinite(message.alt):  # AMSL, independent of the frame in which the setpoint was sent

@@ -16,7 +16,7 @@ MEMORY = 0.06
 # A sample is a jump if its distance from the extrapolated position exceeds SLACK + (maximum speed + GUSTS) * t. Here t
 # is the time since the previous sample, accepted or rejected, and WHILE at most. GUSTS allows for wind and falling. The
 # limit grows neither in a longer silence nor while samples are rejected; otherwise each jump would be accepted later.
-SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # metres, seconds, m/s
+SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # SLACK in metres, WHILE in seconds, GUSTS in m/s
 YAW_SLACK, YAW_RATE = 0.5, 6.0  # radians, rad/s: a change of yaw of more than YAW_SLACK + YAW_RATE * t is a jump, too
 
 

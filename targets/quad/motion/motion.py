@@ -22,7 +22,7 @@ from targets.quad.motion.yaw import Yaw
 
 UNFOLLOWED = 5.0  # seconds without evidence that the autopilot follows setpoints, after which `steer` raises Unready
 SPACING = 0.04  # minimum seconds between two setpoints
-NEAR = 0.3  # metres by which the setpoint that the autopilot reports may differ from the one sent
+NEAR = 0.3  # metres by which the setpoint that the autopilot reports may differ from the sent setpoint
 HALTING = 1.0  # seconds for which the setpoint of a halt is repeated
 PLANNED = 0.97  # share of the speed limits that the reference uses, so that a faster vehicle can catch up
 SETTLED = 0.1  # m; a slow vehicle within this distance of a standing reference counts as settled

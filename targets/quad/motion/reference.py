@@ -27,6 +27,7 @@ FASTER = 1.0  # 1/s; growth of the reference's rate after the caller of `advance
 PAUSE = 0.5  # s; a paused reference stops at most this time of flight ahead: an autopilot needs about as far to brake
 STANDING = 0.25  # m/s; slower vehicles count as standing. The estimated speed of a hovering vehicle stays below this
 WINDOW = 0.4  # s; the velocity of a moving target is estimated from its places in this last period
+
 # A moving target must be faster than PACE (m/s), and its displacement must be at least STRAIGHT times the length of the
 # path through its places. Otherwise the motion counts as noise in measured places.
 PACE, STRAIGHT = 0.1, 0.7

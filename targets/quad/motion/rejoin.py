@@ -26,6 +26,7 @@ from targets.quad.motion.trajectory import Trajectory, norm
 
 LATE = 0.3  # s without a setpoint after which the vehicle may have flown on past its reference
 OFF = 0.2  # m between vehicle and reference beyond which the straight line between them is checked
+
 # s for which the vehicle must be slow before a leg begins. At the beginning of a leg, setpoints change between position
 # only and position with velocity. If an autopilot is still braking at this change, the vehicle swings back, and then
 # exceeds the speed limit to catch up.
@@ -33,9 +34,11 @@ STILL = 0.7
 BRAKING = 3.0  # s of braking after which a leg is searched for even if the vehicle does not stand still
 RETRY = 1.0  # s between two attempts to find a leg
 PATIENCE = 2.0  # s to wait for the planner's answer; after that, the vehicle brakes and the planner is asked again
+
 # The vehicle keeps a share of the planner's clearance from obstacles. A planned path keeps the whole clearance.
 RUNNING = 0.5  # share of the clearance on lines along which the vehicle may fly on without setpoints
 LEG = 0.75  # share of the clearance on a leg back to the path; below 1, because a leg may begin beside the path
+
 # Near an obstacle, the reference slows down if the vehicle is more than TIGHT (m) behind the reference. Near means
 # nearer than the vehicle's radius plus NEARBY times the clearance. (A vehicle that starts from a stand is 0.3 m behind,
 # because the autopilot's controller restarts when the kind of setpoint changes.)
@@ -250,7 +253,7 @@ class Rejoin:
             self._resume((goal,), position, velocity, now)
         elif self._ways.ask_leg(self._from, goal):
             self._enter(Stage.ASKING, now)
-            self._answered(position, velocity, now)  # the planner may have answered already
+            self._answered(position, velocity, now)  # process an answer that the planner has given at once
         else:
             self._enter(Stage.STANDING, now)
 

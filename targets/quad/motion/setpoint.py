@@ -47,6 +47,7 @@ YAW = 0x400  # bit to ignore the yaw; it is cleared if the setpoint has a yaw
 
 OBEYED = 0.5  # share of a demanded change of velocity that is achieved after a third of a second: 1 - exp(-KPa t)
 RUN_ON = 3.0  # s for which an autopilot keeps the last setpoint's velocity (GUID_TIMEOUT)
+
 # If no setpoint arrives, the vehicle flies on for RUN_ON and LEANING (s), and then brakes at BRAKING (m/s^2). The first
 # value of BRAKING is horizontal (WP_ACC), the second vertical (WP_ACC_Z).
 LEANING = 0.3
