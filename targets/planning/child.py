@@ -27,7 +27,7 @@ def main() -> None:
     from targets.planning.ask import BadPlanner, Judge, judging
     from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 
-    def say(answer: Answer) -> None:
+    def send(answer: Answer) -> None:
         left = memoryview(framed(answer))
         while left:
             left = left[os.write(answers, left) :]
@@ -37,15 +37,15 @@ def main() -> None:
         try:
             asked = judging(order.judge, order.name, order.world)
         except BadPlanner as error:
-            say(Answer(0, (), str(error)))
+            send(Answer(0, (), str(error)))
             return None
-        say(Answer(0, (), ""))
+        send(Answer(0, (), ""))
         return asked
 
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     incoming, asked = Unframed(), None
     while data := os.read(0, 1 << 16):
-        for message in incoming.take(data):
+        for message in incoming.feed(data):
             if asked is None:
                 asked = ordered(message)
                 if asked is None:
@@ -55,7 +55,7 @@ def main() -> None:
             signal.setitimer(signal.ITIMER_REAL, question.seconds + HANGING)
             answer = asked.serve(question)
             signal.setitimer(signal.ITIMER_REAL, 0.0)
-            say(answer)
+            send(answer)
 
 
 if __name__ == "__main__":

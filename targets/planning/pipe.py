@@ -59,7 +59,7 @@ class Unframed:
     def __init__(self) -> None:
         self._waiting = bytearray()
 
-    def take(self, data: bytes) -> Iterator[bytes]:
+    def feed(self, data: bytes) -> Iterator[bytes]:
         """Add received bytes, and yield the messages that are now complete.
 
         Raises ValueError if a length prefix is above LONGEST."""

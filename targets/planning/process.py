@@ -86,7 +86,7 @@ def made(planning: Planning, sleep: Callable[[float], None]) -> None:
     raise Unready(f"the planner was not ready within {STARTING:.0f} s")
 
 
-class News:
+class PlannerLog:
     """Log lines of a planner. A reason for failed calls is logged once, until another call succeeds.
 
     Reasons that differ only in their numbers count as one reason."""
@@ -95,7 +95,7 @@ class News:
         self._lines: list[str] = []
         self._known: set[str] = set()
 
-    def tell(self, line: str) -> None:
+    def add(self, line: str) -> None:
         self._lines.append(line)
 
     def called(self, reason: str) -> None:
@@ -107,7 +107,7 @@ class News:
             self._known.add(kind)
             self._lines.append(f"no path: {reason}")
 
-    def take(self) -> list[str]:
+    def drain(self) -> list[str]:
         told, self._lines = self._lines, []
         return told
 
@@ -121,7 +121,7 @@ class Inside:
         self._name, self._world, self._budget, self._judge = name, world, budget, judge
         self._asked: Judge | None = None
         self._answer: Answer | None = None
-        self._news = News()
+        self._news = PlannerLog()
         self.ready = self.waiting = False
 
     def start(self) -> None:
@@ -151,7 +151,7 @@ class Inside:
         return told
 
     def news(self) -> list[str]:
-        return self._news.take()
+        return self._news.drain()
 
     def close(self) -> None:
         self.ready = False
@@ -192,7 +192,7 @@ class Beside:
         self._number = 0
         self._asked_at: float | None = None  # time at which the pending question was sent; None if there is none
         self._answer: Answer | None = None
-        self._news = News()
+        self._news = PlannerLog()
         self.ready = False
 
     @property
@@ -287,7 +287,7 @@ class Beside:
 
     def news(self) -> list[str]:
         """Return log lines on failed calls and on lost children since the last call."""
-        return self._news.take()
+        return self._news.drain()
 
     def close(self) -> None:
         """End the child process. Idempotent."""
@@ -321,12 +321,12 @@ class Beside:
                 self._lose("ended by itself")
                 return
             try:
-                for message in self._incoming.take(data):
-                    self._take(msgspec.msgpack.decode(message, type=Answer))
+                for message in self._incoming.feed(data):
+                    self._accept(msgspec.msgpack.decode(message, type=Answer))
             except (ValueError, RecursionError):  # errors of msgspec are ValueErrors, too
                 self._lose("answered with a malformed message")
 
-    def _take(self, answer: Answer) -> None:
+    def _accept(self, answer: Answer) -> None:
         if answer.number == 0 and not self.ready:
             if answer.reason:
                 self._lose(answer.reason)
@@ -342,7 +342,7 @@ class Beside:
         self._end()
         if not self._made:
             raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
-        self._news.tell(f"the planner {why}; it is started again")
+        self._news.add(f"the planner {why}; it is started again")
 
     def _end(self) -> None:
         self.ready, self._asked_at, self._outgoing = False, None, b""

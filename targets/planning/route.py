@@ -43,7 +43,7 @@ class Route:
         self._commanded: tuple[Point, ...] = ()
         self._ahead: tuple[Point, ...] = ()
 
-    def take(self, points: tuple[Point, ...]) -> bool:
+    def follow(self, points: tuple[Point, ...]) -> bool:
         """Follow these points from now on; without points, clear the goal.
 
         Return False, and change nothing, if the robot follows these points already."""

@@ -61,14 +61,14 @@ class Heard:
         for number in SELDOM:
             self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
-    def take(self, message: Message, now: float) -> None:
+    def record(self, message: Message, now: float) -> None:
         """Record one message of the vehicle, received at `now`."""
         number = message.get_msgId()
         self.first.setdefault(number, now)
         self.count[number] = self.count.get(number, -1) + 1
         self.last[number] = now
         self.newest[number] = message
-        self.telemetry.take(message, now)
+        self.telemetry.update(message, now)
         if self.parameters is not None:
             self.parameters.take(message)
 
@@ -95,7 +95,7 @@ def listen(
         meanwhile(messages, now)
         for message in messages:
             streams.note(message.get_msgId(), now)
-            heard.take(message, now)
+            heard.record(message, now)
             if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
                 heard.wall = wall()
         link.greet(now)

@@ -113,7 +113,7 @@ class Flight:
         self.heard = self._link.receive(now)
         for message in self.heard:
             self._streams.note(message.get_msgId(), now)
-            self._telemetry.take(message, now)
+            self._telemetry.update(message, now)
             self._review.take(message)
         self._link.greet(now)
         if self.phase is not Phase.RESTED:

@@ -34,7 +34,7 @@ class Origin:
         self._frame, self._fleet = frame, origin
         self._height = 0.0  # m, height of the requested origin above the fleet's origin
         self._boot = 0  # ms since the autopilot's boot, in its last GLOBAL_POSITION_INT
-        self._told: tuple[int, int, int] | None = None  # reported origin, in units of `_wanted`
+        self._reported: tuple[int, int, int] | None = None  # reported origin, in units of `_wanted`
         self._next = -math.inf  # earliest time of the next request
         self._initialised = False  # whether the EKF is initialised
         self._placed = False  # whether the autopilot reports global positions
@@ -48,7 +48,7 @@ class Origin:
         latitude, longitude, altitude = self._fleet
         return round(latitude * 1e7), round(longitude * 1e7), round((altitude + self._height) * 1e3)
 
-    def take(self, message: Message) -> None:
+    def update(self, message: Message) -> None:
         """Process one message of the vehicle."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
@@ -57,16 +57,16 @@ class Origin:
                 self._initialised |= bool(message.flags & mavlink.EKF_ATTITUDE)
             case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                 if message.time_boot_ms + 1000 < self._boot:  # the autopilot has restarted
-                    self._initialised, self._told, self._asked = False, None, 0
+                    self._initialised, self._reported, self._asked = False, None, 0
                 self._boot, self._placed = message.time_boot_ms, bool(message.lat or message.lon)
             case mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
-                self._take_origin((message.latitude, message.longitude, message.altitude))
+                self._record_origin((message.latitude, message.longitude, message.altitude))
 
-    def _take_origin(self, told: tuple[int, int, int]) -> None:
-        if abs(told[0]) > 900_000_000 or abs(told[1]) > 1_800_000_000 or not any(told):
+    def _record_origin(self, reported: tuple[int, int, int]) -> None:
+        if abs(reported[0]) > 900_000_000 or abs(reported[1]) > 1_800_000_000 or not any(reported):
             return
-        self._told = told
-        self._refer(told)
+        self._reported = reported
+        self._refer(reported)
 
     def _refer(self, place: tuple[int, int, int]) -> None:
         ned = self._about(place)
@@ -83,22 +83,22 @@ class Origin:
 
         This is the case once the autopilot has reported its origin. It is also the case if the autopilot has answered
         no request for its origin and reports no global positions, because it then has no origin yet."""
-        return self._told is not None or (self._asked > 1 and not self._placed)
+        return self._reported is not None or (self._asked > 1 and not self._placed)
 
     def poll(self, link: Link, pose: Pose | None, now: float) -> None:
         """Request the autopilot's origin until it is known, and set an origin while the autopilot has none.
 
         An origin is set only if the robot's `pose` (ENU about the fleet's origin) is known, because the origin gets the
         robot's altitude."""
-        if link.vehicle is None or now < self._next or (self._told is not None and self._placed):
+        if link.vehicle is None or now < self._next or (self._reported is not None and self._placed):
             return
         self._next = now + EVERY
-        if self._told is None:
+        if self._reported is None:
             self._asked += 1
             link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN)
         if pose is None or self._placed:
             return
-        if self._told is None and abs(pose.position.z - self._height) > LIFTED:
+        if self._reported is None and abs(pose.position.z - self._height) > LIFTED:
             self._height = pose.position.z
             self._refer(self._wanted)
         if self._initialised or link.vehicle.autopilot != mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:

@@ -112,7 +112,7 @@ class Positioning:
     def attend(self, link: Link, messages: Iterable[Message], now: float) -> None:
         """Process the vehicle's messages, and forward the source's samples to the autopilot."""
         for message in messages:
-            self._origin.take(message)
+            self._origin.update(message)
         self._pass_on(link, now)
 
     def _pass_on(self, link: Link, now: float) -> None:
@@ -120,7 +120,7 @@ class Positioning:
         for datagram in waiting(self._datagrams) if self._datagrams is not None else ():
             if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._taken += 1
-                self._track.take(self._feed.pose, self._feed.time)
+                self._track.add(self._feed.pose, self._feed.time)
         track = self._track
         if self._mode != "gps_input":
             self._origin.poll(link, track.pose, now)

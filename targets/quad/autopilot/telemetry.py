@@ -82,7 +82,7 @@ class Telemetry:
         self.followed: Point | None = None  # the position setpoint that the autopilot reports
         self.followed_time = -math.inf  # time at which the last report of the setpoint arrived
 
-    def take(self, message: Message, now: float) -> None:
+    def update(self, message: Message, now: float) -> None:
         """Update the state from one message of the vehicle."""
         if message.get_msgId() not in self.firmware.rates:
             return
@@ -91,7 +91,7 @@ class Telemetry:
                 self.mode, self.mode_time = message.custom_mode, now
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
-                self._take_position(message, now)
+                self._update_position(message, now)
             case mavlink.MAVLINK_MSG_ID_SYS_STATUS:  # battery charge in percent; -1: unknown to the autopilot
                 self.battery = message.battery_remaining / 100 if 0 <= message.battery_remaining <= 100 else None
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
@@ -107,9 +107,9 @@ class Telemetry:
                 if self.position is not None and self.fresh(now):
                     self._local = Point(message.y, message.x, -message.z), self.position
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED:
-                self._take_local_target(message, now)
+                self._update_local_target(message, now)
 
-    def _take_local_target(self, message: Message, now: float) -> None:
+    def _update_local_target(self, message: Message, now: float) -> None:
         """Convert a setpoint reported relative to the EKF's own origin to the fleet's frame.
 
         The EKF's origin need not be known: the offset of the setpoint from the vehicle's local position suffices."""
@@ -120,8 +120,8 @@ class Telemetry:
         if transmissible(target):
             self.followed, self.followed_time = target, now
 
-    def _take_position(self, message: Message, now: float) -> None:
-        if not self._news(message.time_boot_ms):
+    def _update_position(self, message: Message, now: float) -> None:
+        if not self._is_newest(message.time_boot_ms):
             return
         if (message.lat == 0 and message.lon == 0) or not self._estimating(now):
             return
@@ -137,7 +137,7 @@ class Telemetry:
         # agent's, so the delay of a message cannot be distinguished from the drift of the clocks.
         self.time = now
 
-    def _news(self, boot: int) -> bool:
+    def _is_newest(self, boot: int) -> bool:
         """Return whether a message is newer than all earlier messages.
 
         `boot`: time of the message in ms since the autopilot's boot.

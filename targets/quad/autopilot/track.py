@@ -35,7 +35,7 @@ class Track:
         self.time = -math.inf
         self.jumps = 0  # number of rejected samples
 
-    def take(self, pose: Pose, time: float) -> bool:
+    def add(self, pose: Pose, time: float) -> bool:
         """Process a sample, and return whether it is accepted.
 
         A sample that is not newer than the last one is ignored, and does not count as a jump."""

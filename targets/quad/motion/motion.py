@@ -67,7 +67,9 @@ class Motion:
         self._goal: Point | None = None  # last point of the command, to which `reached` refers
         self._near: float | None = None  # time since which the vehicle stands at the goal
         self._sent: float | None = None  # time at which the last setpoint was sent
-        self._doubted: float | None = None  # time since which no evidence shows that the autopilot follows setpoints
+        self._unconfirmed: float | None = (
+            None  # time since which no evidence shows that the autopilot follows setpoints
+        )
         self._halt: tuple[Point, float] | None = None  # place of a halt, and time until which its setpoint is sent
         self.reached = True  # whether the goal is reached; True without a goal
         self.followed = False  # whether there is evidence that the autopilot follows the setpoints
@@ -116,7 +118,7 @@ class Motion:
         aim = aimed(self._reference, here, self._shaping, self._limits)
         aim = self._rejoin.bounded(aim, position, self._shaping)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
-        self._say(link, Aim(aim.position, aim.velocity, yaw), now)
+        self._send_setpoint(link, Aim(aim.position, aim.velocity, yaw), now)
         self._yaw.watch(state)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
@@ -142,7 +144,7 @@ class Motion:
 
     def _drop(self, now: float) -> None:
         self._rejoin.drop(now)
-        self._halt = self._sent = self._doubted = self._near = None
+        self._halt = self._sent = self._unconfirmed = self._near = None
         self.followed = self.settled = False
 
     def halt(self, link: Link, now: float) -> None:
@@ -157,9 +159,9 @@ class Motion:
         if self._halt is None or now > self._halt[1] or link.vehicle is None:
             self._drop(now)
         elif self._sent is None or now - self._sent >= SPACING:
-            self._say(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw.commanded), now)
+            self._send_setpoint(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw.commanded), now)
 
-    def _say(self, link: Link, aim: Aim, now: float) -> None:
+    def _send_setpoint(self, link: Link, aim: Aim, now: float) -> None:
         if link.vehicle is not None:
             link.send(setpoint(link.vehicle, self._frame, self._fence, aim))
             self._sent = now
@@ -171,15 +173,15 @@ class Motion:
         near = NEAR if aim.velocity is None else NEAR + 1.2 * self._speed
         told = state.followed if now - state.followed_time < 1.0 else None
         if told is not None and distance(told, aim.position) < near:
-            self._doubted, self.followed = None, True
+            self._unconfirmed, self.followed = None, True
             return
         if aim.velocity is not None:
-            self._doubted = None
+            self._unconfirmed = None
             return
-        self._doubted = now if self._doubted is None else self._doubted
-        if now - self._doubted > 1.0:
+        self._unconfirmed = now if self._unconfirmed is None else self._unconfirmed
+        if now - self._unconfirmed > 1.0:
             self.followed = False
-        if now - self._doubted > UNFOLLOWED and link.alive(now):
+        if now - self._unconfirmed > UNFOLLOWED and link.alive(now):
             raise Unready(
                 f"the autopilot is in {state.mode_name} but does not follow position setpoints",
                 "check whether another program commands the autopilot, or it accepts another MAVLink system id only",

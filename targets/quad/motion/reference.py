@@ -93,7 +93,7 @@ class Reference:
         self._elapsed = 0.0  # s that the reference has advanced on the trajectory
         self._rate = 1.0  # trajectory time per real time, 0 to 1
         self._time = 0.0  # real time to which the reference has advanced
-        self._slowed = False  # whether the caller of `advance` limited the rate, which then grows slowly
+        self._limited = False  # whether the caller of `advance` limited the rate, which then grows slowly
         self.paused = False
         self.alone = True  # whether to send setpoints without a velocity: the reference stands, is paused, or waits
 
@@ -212,9 +212,9 @@ class Reference:
             return
         behind = distance(position, state.position) / self._leash
         rate = min(1.0, 2.0 - 2.0 * behind, most)
-        if most < 1.0 or self._slowed:
+        if most < 1.0 or self._limited:
             rate = min(rate, self._rate + since * FASTER)
-        self._slowed = rate < min(1.0, 2.0 - 2.0 * behind)
+        self._limited = rate < min(1.0, 2.0 - 2.0 * behind)
         self._rate = rate if rate > CREEP else 0.0
         if now >= self._pursuit.until > -math.inf:
             self._pursuit.forget()

@@ -170,7 +170,7 @@ def judged(*messages: Message, wall: float = 1.8e9) -> dict[str, Finding]:
     for message in (alive, ekf(), *messages, place):
         wire.inject(message.pack(mavlink.MAVLink(None, 1, 1)))
         for received in link.receive(1000.0):
-            heard.take(received, 1000.0)
+            heard.record(received, 1000.0)
     heard.wall, heard.began, heard.ended = wall, 995.0, 1000.0
     return {f.name: f for f in findings("udpin:1", heard, frame, FENCE, 1.5)}
 
