@@ -87,7 +87,7 @@ LEFT: dict[str, tuple[int, int]] = {
     "targets/car": (41, 5),
     "targets/mavlink": (7, 0),
     "targets/planning": (4, 0),
-    "targets/quad": (20, 1),
+    "targets/quad": (16, 1),
     "targets/sim": (75, 4),
 }
 

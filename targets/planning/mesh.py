@@ -130,7 +130,9 @@ def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArr
 
 
 def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
-    """Return the squared distances of the segment start + s d from many segments first + t e, 0 <= s, t <= 1.
+    """Return the squared distances of the segment start + s d from the segments first + t e.
+
+    The parameters s and t are between 0 and 1.
 
     The formulas are those of `koordgen.runtime.values.geometry`."""
     w = first - start

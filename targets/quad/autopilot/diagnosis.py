@@ -148,7 +148,7 @@ def _estimate(heard: Heard) -> Finding:
 
 
 def _disagreements(report: Message) -> list[tuple[float, str]]:
-    """Return the innovation test ratios, each divided by the firmware's limit, and the names of their quantities.
+    """Return the innovation test ratios, divided by the firmware's limits, and their names.
 
     ESTIMATOR_STATUS (PX4): the limit is 1, at which the EKF rejects the measurement. EKF_STATUS_REPORT (ArduPilot): the
     fields named variances contain test ratios (NavEKF3 getVariances), and the limit is that of the EKF failsafe."""

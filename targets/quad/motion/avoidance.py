@@ -172,7 +172,7 @@ class Avoidance:
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         """Return whether a straight line keeps its distance from the fleet file's obstacles.
 
-        `margin`: share of the planner's clearance to keep. `rejoin.Ways.clear` gives the rule for obstacles
+        `margin`: share of the planner's clearance to keep. `rejoin.FreeSpace.clear` gives the rule for obstacles
         near the start of the line."""
         here = Room(start)
         here.keep(self._standing, self._kept(margin), self._world.least)

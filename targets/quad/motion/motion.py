@@ -15,7 +15,7 @@ from koordgen.runtime.vehicle.safety import clamp
 from targets.mavlink.link import Link
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.reference import STANDING, Reference
-from targets.quad.motion.rejoin import OpenSpace, Rejoin, Ways
+from targets.quad.motion.rejoin import FreeSpace, OpenSpace, Rejoin
 from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
 from targets.quad.motion.trajectory import Limits, State, norm
 from targets.quad.motion.yaw import Yaw
@@ -46,21 +46,21 @@ class Motion:
     `max_speed`, `climb`: limits of the vehicle's speed and of its vertical speed, m/s.
     `acceleration`: limit of the reference's acceleration, m/s^2.
     `radius`, `dwell`: the goal is reached after `dwell` seconds of standing within `radius` of it.
-    `yaw`: result of `yaw.heading`. `shaping`: the autopilot's response to setpoints. `ways`: obstacles and planner.
+    `yaw`: result of `yaw.heading`. `shaping`: the autopilot's response to setpoints. `space`: obstacles and planner.
     `action`: reaction to a standstill, as in `Standstill`.
     """
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
-        ways: Ways | None = None, action: str = "hold",
+        space: FreeSpace | None = None, action: str = "hold",
     ) -> None:  # fmt: skip
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
         self._limits = Limits(max_speed, climb, acceleration, self._room)
         self._reference = Reference(Limits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
-        self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways, action)
+        self._rejoin = Rejoin(self._reference, OpenSpace() if space is None else space, action)
         self._shaping = shaping
         self._yaw = Yaw(yaw)
         self._commanded: tuple[Point, ...] = ()

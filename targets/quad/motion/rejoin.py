@@ -48,7 +48,7 @@ SLOWEST = 0.15  # m/s; an obstacle ahead never limits the reference's speed to l
 BISECTIONS = 6  # bisection steps in the search for the free distance up to an obstacle
 
 
-class Ways(Protocol):
+class FreeSpace(Protocol):
     """Interface to the obstacles and the planner of one vehicle.
 
     If an obstacle is nearer to the start of a line than required, the line may stay about as near to this obstacle."""
@@ -94,7 +94,7 @@ class Ways(Protocol):
 
 
 class OpenSpace:
-    """Implementation of Ways without obstacles and without a planner."""
+    """Free space without obstacles: each line is clear, and there is no planner."""
 
     def clear(self, start: Point, end: Point, margin: float) -> bool:
         return True
@@ -134,8 +134,8 @@ class Rejoin:
     The reference is paused while the safety layer holds the vehicle (`held`), and while a leg is searched for.
     `action`: reaction to a standstill, as in `Standstill`."""
 
-    def __init__(self, reference: Reference, ways: Ways, action: str = "hold") -> None:
-        self._reference, self._ways = reference, ways
+    def __init__(self, reference: Reference, space: FreeSpace, action: str = "hold") -> None:
+        self._reference, self._space = reference, space
         self._stage = Stage.FLYING
         self._since = 0.0  # time at which the present stage began
         self._slow: float | None = None  # time since which the vehicle has been slow; None while the vehicle is fast
@@ -219,21 +219,21 @@ class Rejoin:
         if self._reference.trajectory is self._checked:
             return True
         self._checked = self._reference.trajectory
-        return self._ways.flyable(self._reference.way())
+        return self._space.flyable(self._reference.way())
 
     def _may_resume(self, position: Point) -> bool:
         """Return whether the paused reference may go on at once, from the place where it stands."""
         here, goal = self._reference.at(0.0).position, self._reference.ahead[0]
         if distance(position, here) <= OFF:
-            return self._ways.leg_clear(position, goal)
-        return self._ways.apart(position, here, NEARBY) and self._ways.leg_clear(here, goal)
+            return self._space.leg_clear(position, goal)
+        return self._space.apart(position, here, NEARBY) and self._space.leg_clear(here, goal)
 
     def _strayed(self, position: Point) -> bool:
         """Return whether the vehicle cannot safely be drawn back to the reference in a straight line."""
         here = self._reference.at(0.0).position
         if distance(position, here) <= OFF:
             return False
-        return not self._ways.apart(position, here, LEG)
+        return not self._space.apart(position, here, LEG)
 
     def _brake(self, position: Point, velocity: Point, now: float) -> None:
         """Brake, and restart the reference at the vehicle's position."""
@@ -243,22 +243,23 @@ class Rejoin:
         self._reference.start(position, velocity, now)
 
     def _choose(self, position: Point, velocity: Point, now: float) -> None:
-        """Fly to the next point if the straight leg from the standing vehicle is clear, else ask the planner for a leg.
+        """Fly the straight leg to the next point if it is clear, else ask the planner for a leg.
 
+        The vehicle stands when this is called.
         A vehicle that is too near to an obstacle moves away from it first."""
         goal = self._reference.ahead[0]
         there = distance(position, goal) <= OFF
-        self._from = position if there else self._ways.retreat(position)
-        if self._ways.leg_clear(self._from, goal):
+        self._from = position if there else self._space.retreat(position)
+        if self._space.leg_clear(self._from, goal):
             self._resume((goal,), position, velocity, now)
-        elif self._ways.ask_leg(self._from, goal):
+        elif self._space.ask_leg(self._from, goal):
             self._enter(Stage.ASKING, now)
             self._answered(position, velocity, now)  # process an answer that the planner has given at once
         else:
             self._enter(Stage.STANDING, now)
 
     def _answered(self, position: Point, velocity: Point, now: float) -> None:
-        leg = self._ways.leg()
+        leg = self._space.leg()
         if leg is None:
             if now - self._since > PATIENCE:
                 self._enter(Stage.BRAKING, now)
@@ -266,7 +267,7 @@ class Rejoin:
         goal = self._reference.ahead[0]
         if leg:
             self._resume((*leg[1:-1], goal), position, velocity, now)
-        elif self._ways.clear(position, goal, 0.0):  # 0: the least distance, which a commanded path must keep
+        elif self._space.clear(position, goal, 0.0):  # 0: the least distance, which a commanded path must keep
             self._resume((goal,), position, velocity, now)
         else:
             self._enter(Stage.STANDING, now)
@@ -292,7 +293,7 @@ class Rejoin:
             self._reference.pause(paused, now)
 
     def bounded(self, aim: Aim, position: Point, shaping: Shaping) -> Aim:
-        """Return a setpoint that leads into no obstacle even if it is the last one that the autopilot receives.
+        """Return a setpoint that leads into no obstacle even if no further setpoint arrives.
 
         After the last setpoint, the autopilot goes on at the setpoint's velocity for some seconds (`runs_on`). So the
         setpoint's velocity is reduced, and its position is moved forward to keep the demanded velocity, as in module
@@ -317,7 +318,7 @@ class Rejoin:
         reference, state = self._reference, self._reference.at(0.0)
         speed, off = norm(state.velocity), distance(position, state.position)
         tight = 1.0
-        if off > TIGHT and not self._ways.apart(position, state.position, NEARBY):
+        if off > TIGHT and not self._space.apart(position, state.position, NEARBY):
             tight = max(0.0, 2.0 - off / TIGHT)
         if speed < SLOWEST:
             return tight
@@ -331,12 +332,12 @@ class Rejoin:
         """Return a point on the line from `start` to `end` up to which the line is clear of obstacles.
 
         The point is `end` if the whole line is clear, else the farthest one that BISECTIONS steps find."""
-        if self._ways.clear(start, end, RUNNING):
+        if self._space.clear(start, end, RUNNING):
             return end
         low, high = 0.0, 1.0
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            if self._ways.clear(start, start + (end - start) * middle, RUNNING):
+            if self._space.clear(start, start + (end - start) * middle, RUNNING):
                 low = middle
             else:
                 high = middle

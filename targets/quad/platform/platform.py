@@ -121,7 +121,7 @@ class Quad:
         self._avoidance = Avoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
-            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,
+            body.reached_radius, body.reached_dwell, yaw, space=self._avoidance, action=settings.safety.missed_action,
         )  # fmt: skip
         self._landing = Landing(settings.pid, self._avoidance.spacing, self._avoidance)
         self._steered = False  # whether the last poll steered the quad by a trusted position

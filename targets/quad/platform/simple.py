@@ -116,7 +116,7 @@ class SimpleQuad(Quad):
         own = self._body
         self._motion = self._direct = SimpleMotion(
             self._frame, settings.geofence, own.flight_height, own.max_speed, own.max_acceleration, own.max_climb,
-            own.reached_radius, own.reached_dwell, heading(own.yaw), ways=self._avoidance,
+            own.reached_radius, own.reached_dwell, heading(own.yaw), space=self._avoidance,
             action=settings.safety.missed_action,
         )  # fmt: skip
         self._phase = Phase.GROUNDED
