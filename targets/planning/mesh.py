@@ -132,9 +132,7 @@ def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArr
 def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
     """Return the squared distances of the segment start + s d from the segments first + t e.
 
-    The parameters s and t are between 0 and 1.
-
-    The formulas are those of `koordgen.runtime.values.geometry`."""
+    The parameters s and t are between 0 and 1. The formulas are those of `koordgen.runtime.values.geometry`."""
     w = first - start
     n = np.cross(d, e)
     square = _dot(n, n)

@@ -228,7 +228,7 @@ def _battery(heard: Heard) -> list[Finding]:
     told = f"{volts}, {charge} %"
     if charge < CHARGE:
         state: State = "fail" if charge < LEAST_CHARGE else "warn"
-        return [Finding("battery", state, told, f"{CHARGE} % or more", "charge it")]
+        return [Finding("battery", state, told, f"a charge of {CHARGE} % or more", "charge it")]
     return [Finding("battery", "ok", told)]
 
 
@@ -265,7 +265,9 @@ def _checks(heard: Heard) -> list[Finding]:
             & ~status.onboard_control_sensors_health
         )
     if sick := [name for flag, name in _SENSORS.items() if failing & flag]:
-        found.append(Finding("sensors", "warn", f"not healthy: {', '.join(sick)}", "all", "calibrate or repair these"))
+        found.append(
+            Finding("sensors", "warn", f"not healthy: {', '.join(sick)}", "all", "calibrate or repair sensors")
+        )
     if refusals or (failing & mavlink.MAV_SYS_STATUS_PREARM_CHECK and not heard.telemetry.armed):
         told = "; ".join(refusals) or "the autopilot's pre-arm checks fail, and it does not report which checks"
         found.append(Finding("checks", "fail", told, why="the autopilot will refuse to arm"))

@@ -176,7 +176,7 @@ class Flight:
         told = None not in (state.yaw, state.landed, state.mode)
         if state.position is None or not state.fresh(now) or not told:
             if differing := self._review.news():  # a wrong parameter may be the reason for the missing estimate
-                self._doing = f"waiting for its position estimate; {differing}"
+                self._doing = f"waiting for the autopilot's position estimate; {differing}"
             return
         if self._link.crowded(now):
             others = ", ".join(map(str, sorted(self._link.others)))

@@ -229,7 +229,7 @@ class Positioning:
             return [Finding("feed", "fail", found, f"not older than {STALE * 1e3:.0f} ms", why)]
         if rate < LEAST_RATE:
             why = "the robot flies less exactly at this rate: raise the base station's rate"
-            came = Finding("feed", "warn", found, f"{LEAST_RATE:g} Hz or more", why)
+            came = Finding("feed", "warn", found, f"a rate of {LEAST_RATE:g} Hz or more", why)
         else:
             came = Finding("feed", "ok", found)
         return [came, *self._followed(state)]
@@ -244,5 +244,5 @@ class Positioning:
             return [Finding("followed", "fail", told, f"within {APART:g} m", why)]
         if not state.flying and (differing := self._heights(state)):
             why = "the quad would fly too low or too high by this difference"
-            return [Finding("followed", "fail", differing, f"heights within {HEIGHT:g} m", why)]
+            return [Finding("followed", "fail", differing, f"a height difference of at most {HEIGHT:g} m", why)]
         return [Finding("followed", "ok", told)]

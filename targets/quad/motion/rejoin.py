@@ -245,8 +245,7 @@ class Rejoin:
     def _choose(self, position: Point, velocity: Point, now: float) -> None:
         """Fly the straight leg to the next point if it is clear, else ask the planner for a leg.
 
-        The vehicle stands when this is called.
-        A vehicle that is too near to an obstacle moves away from it first."""
+        The vehicle stands when this is called. A vehicle that is too near to an obstacle moves away from it first."""
         goal = self._reference.ahead[0]
         there = distance(position, goal) <= OFF
         self._from = position if there else self._space.retreat(position)
