@@ -176,8 +176,8 @@ def test_what_differs_is_told_while_there_is_no_estimate_yet() -> None:
     rig.quad.start(rig.now)
     rig.run(3.0)
     assert rig.quad.progress == (
-        "waiting for its position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, wanted 0: else the "
-        "vehicle does not fly without a remote control"
+        "waiting for the autopilot's position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, "
+        "wanted 0: else the vehicle does not fly without a remote control"
     )
     rig.autopilot.copter.params["FS_THR_ENABLE"] = 0.0
     assert rig.run(50.0, lambda: rig.quad.ready)

@@ -81,7 +81,7 @@ def test_one_that_is_killed_is_begun_anew_and_told() -> None:
         until(planning, lambda: not planning.ready)
         assert planning.plan(START, EASY, Scene()) == ()
         assert planning.news() == [
-            "the planner ended by itself; it is begun anew", "no path: the planner is not there",
+            "the planner ended by itself; it is started again", "no path: the planner is not running",
         ]  # fmt: skip
         until(planning, lambda: planning.ready)
         assert planning.plan(START, EASY, Scene()) == (START, EASY)
@@ -109,7 +109,7 @@ def test_one_that_hangs_is_ended_and_begun_anew(monkeypatch: pytest.MonkeyPatch)
         assert planning.plan(START, GONE, Scene()) == ()
         until(planning, lambda: not planning.ready)
         until(planning, lambda: not alive(pid))
-        assert planning.news()[-1] == "the planner has not answered for 0.3 s; it is begun anew"
+        assert planning.news()[-1] == "the planner has not answered for 0.3 s; it is started again"
         until(planning, lambda: planning.ready)
         assert planning.plan(START, EASY, Scene()) == (START, EASY)
 
@@ -133,7 +133,7 @@ def test_one_that_leaves_and_prints(capfd: pytest.CaptureFixture[str]) -> None:
     with beside("tests.planning.own:Ends") as planning:
         assert planning.plan(START, EASY, Scene()) == (START, EASY), "what it prints is no answer"
         assert planning.plan(START, LATE, Scene()) == ()
-        assert planning.news() == ["the planner ended by itself; it is begun anew"]
+        assert planning.news() == ["the planner ended by itself; it is started again"]
         until(planning, lambda: planning.ready)
 
 

@@ -64,5 +64,5 @@ def test_a_car_finds_its_way_around_a_wall() -> None:
 
 @pytest.mark.parametrize("asked", [Asked, car.Asked])
 def test_rrt_star_is_refused_and_said_why(asked: type[Asked | car.Asked]) -> None:
-    with pytest.raises(BadPlanner, match="needs OMPL, which has no wheel for this Python; take rrt-smoothed"):
+    with pytest.raises(BadPlanner, match="needs OMPL, which has no wheel for this Python; use rrt-smoothed"):
         asked("rrt-star", scenes.world())

@@ -369,7 +369,7 @@ class Car:
             flat = tuple(Point(p.x, p.y, 0.0) for p in points)
             self._unplanned.commanded()
             self._avoidance.resumes(points)
-            self._route.take(points)
+            self._route.follow(points)
             self._standstill.command()
             self._route.skip(passed(flat, Point(state.x, state.y, 0.0)))
             if (goal := self._route.goal) is not None:
@@ -387,7 +387,7 @@ class Car:
             if held:
                 return
             points = ()
-        if not self._route.take(points):
+        if not self._route.follow(points):
             return
         self._standstill.command()
         state, goal = self._estimator.state, self._route.goal

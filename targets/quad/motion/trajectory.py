@@ -1,4 +1,4 @@
-"""Reference trajectory: straight legs between waypoints, within limits of speed, climb rate and acceleration.
+"""Reference trajectory: straight legs between waypoints, with limited speed and acceleration.
 
 A trajectory is a chain of pieces of constant acceleration. So its velocity is continuous, its speed is largest at an
 end of a piece, and its state can be computed for any time ahead.
@@ -39,8 +39,8 @@ class Limits:
     `speed`: m/s, of the velocity in three dimensions.
     `climb`: m/s, of the vertical speed, up or down.
     `acceleration`: m/s^2, in three dimensions.
-    `box`: contains every position, and every place where braking from the trajectory ends. So a later change of the
-    trajectory cannot leave the box either.
+    `box`: contains every position of the trajectory, and every place at which braking from the trajectory ends. So the
+    vehicle stays inside the box even if the trajectory changes later.
     """
 
     speed: float
@@ -55,10 +55,10 @@ class Limits:
         return self.most(_dot(direction, drift), direction.z, drift.z, self.speed**2 - _dot(drift, drift))
 
     def most(self, along: float, up: float, drift_up: float, room: float) -> float:
-        """Return the same as `top`, from precomputed numbers.
+        """Return the same result as `top`, from precomputed numbers.
 
-        `along`: dot product of direction and drift. `up`, `drift_up`: their vertical components. `room`: speed^2 -
-        drift^2."""
+        `along`: dot product of direction and drift. `up`, `drift_up`: vertical components of direction and drift.
+        `room`: speed^2 - drift^2."""
         s = math.sqrt(max(0.0, along * along + room)) - along
         if up > _STILL:
             s = min(s, (self.climb - drift_up) / up)
@@ -82,7 +82,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Position (m) and velocity (m/s) at a moment."""
+    """Position (m) and velocity (m/s) at one time."""
 
     position: Point
     velocity: Point = ZERO
@@ -104,7 +104,9 @@ class Piece:
 
 
 class Trajectory:
-    """Chain of pieces, followed by the state `end`, whose velocity is kept: zero unless the goal moves."""
+    """Chain of pieces of constant acceleration, which ends in the state `end`.
+
+    The velocity of `end` is kept after the last piece. It is zero unless the goal moves."""
 
     def __init__(self, pieces: Sequence[Piece], end: State, waypoints: int) -> None:
         self.pieces = tuple(pieces)
@@ -112,10 +114,10 @@ class Trajectory:
         self._waypoints = waypoints
         self._ends = tuple(accumulate(p.seconds for p in self.pieces))
         self.seconds = self._ends[-1] if self._ends else 0.0
-        self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, its greatest speed
+        self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, largest speed
 
     def at(self, t: float) -> State:
-        """Return the state t seconds after the beginning, t not negative."""
+        """Return the state `t` seconds after the beginning of the trajectory, t >= 0."""
         i = bisect_right(self._ends, t)
         if i == len(self.pieces):
             return State(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
@@ -138,7 +140,7 @@ class Trajectory:
         return found
 
     def ahead(self, t: float) -> int:
-        """Return the index of the waypoint that comes next, or the number of waypoints at the end."""
+        """Return the index of the next waypoint after `t` seconds. At the end, it is the number of waypoints."""
         i = bisect_right(self._ends, t)
         return self.pieces[i].ahead if i < len(self.pieces) else self._waypoints
 
@@ -153,14 +155,14 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
 
     The velocity of `start` must be within the limits. Waypoints and start must be finite.
 
-    `drift`: velocity of a moving waypoint (m/s, within the limits); it must then be the only one. The trajectory meets
-    the waypoint and moves on with it. It is planned in the frame that moves with the waypoint. There, the limit of
-    acceleration is the same, and the limits of speed are those of `Limits.top`."""
+    `drift`: velocity of a moving waypoint (m/s, within the limits). A moving waypoint must be the only waypoint. The
+    trajectory meets the waypoint and then moves with it. The trajectory is planned in the frame that moves with the
+    waypoint. In that frame, the limit of acceleration is the same, and `Limits.top` gives the limits of speed."""
     ahead = [i for i, p in enumerate(waypoints) if i + 1 == len(waypoints) or distance(p, waypoints[i + 1]) > CLOSE]
     pieces = _entered(State(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
     entry = pieces[-1].at(pieces[-1].seconds) if pieces else State(start.position)
     if len(ahead) > 1 and norm(entry.velocity) < _STILL and distance(entry.position, waypoints[ahead[0]]) <= CLOSE:
-        ahead = ahead[1:]  # there already
+        ahead = ahead[1:]  # the trajectory has reached the first waypoint already
     nodes = [entry.position, *(waypoints[i] for i in ahead)]
     pieces += _legs(nodes, [ahead[0], *ahead], norm(entry.velocity), limits, drift)
     goal = waypoints[-1]
@@ -176,10 +178,10 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
 
 
 def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
-    """Return the first piece, from the present velocity to one towards the goal.
+    """Return the first piece, which turns the present velocity towards the goal; [] if the vehicle stands.
 
-    The new velocity is the fastest one that allows to stop at the goal. If nothing better stays within the limits, the
-    piece brakes. No piece if the vehicle is at rest."""
+    The new velocity is the fastest one from which the vehicle can stop at the goal. If no velocity towards the goal can
+    be reached within the limits, the piece brakes."""
     speed = norm(start.velocity)
     if speed < _STILL:
         return []
@@ -198,12 +200,15 @@ def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int
 
 
 def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point, ahead: int) -> Piece | None:
-    """Return a piece at whose end the velocity points to the goal, with the speed `fast` or what the limits allow.
+    """Return a piece at whose end the velocity points to the goal.
+
+    The speed at its end is `fast`, or less if the limits of speed require it.
 
     Return None if the distance is too short to stop at the goal, or if braking within the piece would leave the box.
 
     With T = |s u - v| / a, the piece ends at p + (v + s u) T / 2. So the unit vector u must point from c = p + v T / 2
-    to the goal. That is a fixed point, found by iteration; at first, u points from where braking would end.
+    to the goal. Fixed-point iteration solves this for u. The first u points to the goal from the place where braking
+    would end.
     """
     a, v = limits.acceleration, start.velocity
     u = goal - limits.stop(start)
@@ -239,7 +244,9 @@ def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point
 
 
 def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) -> bool:
-    """Return `Limits.safe` of a piece's state after t seconds, converted from the moving frame by the drift."""
+    """Return whether braking from a piece's state after `t` seconds ends inside the box.
+
+    `start` and `push` are in the frame that moves with `drift`."""
     p, v, half = start.position, start.velocity, t * t / 2
     vx, vy, vz = v.x + push.x * t + drift.x, v.y + push.y * t + drift.y, v.z + push.z * t + drift.z
     far = math.hypot(vx, vy, vz) / (2 * limits.acceleration)
@@ -252,11 +259,13 @@ def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) ->
 
 
 def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, drift: Point) -> list[Piece]:
-    """Return straight legs between the nodes, with parabolas at the inner nodes, from the speed `entry` to a stand."""
+    """Return straight legs between the nodes, with parabolas at the inner nodes.
+
+    The speed is `entry` at the first node, and 0 at the last one."""
     a, last = limits.acceleration, len(nodes) - 1
     lengths = [distance(nodes[i], nodes[i + 1]) for i in range(last)]
     if lengths[0] < _STILL:
-        return []  # the only leg left, and there already
+        return []  # only one leg is left, and the vehicle is already at its end
     units = [(nodes[i + 1] - nodes[i]) / lengths[i] for i in range(last)]
     tops = [limits.top(u, drift) for u in units]
     bends = [0.0, *(distance(units[i], units[i + 1]) for i in range(last - 1)), 0.0]
@@ -284,8 +293,9 @@ def _speeds(lengths: list[float], tops: list[float], bends: list[float], entry: 
     last = len(lengths)
     w = [entry * entry, *(0.0 for _ in range(last))]
     for i in range(1, last):
-        # `within`: limit from CORNER, for cutting the corner and for braking within it, which leads to its outside. In
-        # a gentle bend at high speed, braking leads further outside than cutting leads inside.
+        # `within`: limit that keeps the vehicle within CORNER of the polyline when it cuts the corner, and when it
+        # brakes in the corner, which leads to the corner's outside. In a gentle bend at high speed, braking leads
+        # farther outside than cutting leads inside.
         within = 8 * a * CORNER / max(bends[i] ** 2, min(1.0, 4 * bends[i]), _STILL)
         halves = a * min(lengths[i - 1], lengths[i]) / max(bends[i], _STILL)
         w[i] = min(tops[i - 1] ** 2, tops[i] ** 2, within, halves)

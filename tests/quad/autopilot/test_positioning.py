@@ -367,7 +367,7 @@ def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatc
 
     seldom, count = FedRig("vision"), itertools.count()
     seldom.alter = lambda datagram: datagram if next(count) % 5 == 0 else None
-    assert (findings(seldom)["feed"].state, findings(seldom)["feed"].wanted) == ("warn", "15 Hz or more")
+    assert (findings(seldom)["feed"].state, findings(seldom)["feed"].wanted) == ("warn", "a rate of 15 Hz or more")
     silenced = FedRig("vision")
     silenced.alter = lambda datagram: datagram if silenced.now < 1003.0 else None
     assert findings(silenced)["feed"].wanted == "not older than 300 ms"
@@ -384,7 +384,7 @@ def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatc
     apart = FedRig("gps_input")
     monkeypatch.setattr(Track, "at", lambda track, time: Point(1.6, -2.0, 0.0))
     found = findings(apart)["followed"]
-    assert found.state == "fail" and re.match(r"0\.\d+ m from the position source", found.found)
+    assert found.state == "fail" and re.match(r"the estimate is 0\.\d+ m from the position source", found.found)
 
 
 def test_the_doctor_compares_the_heights_of_feed_and_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:

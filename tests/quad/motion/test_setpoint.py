@@ -176,7 +176,7 @@ def test_whatever_the_program_writes_and_wherever_the_vehicle_is(doings: list[Ac
             now += 0.05
             state.position, state.velocity = vehicle, Point(vehicle.y, -vehicle.x, vehicle.z)
             state.followed, state.followed_time = vehicle, -math.inf
-            motion._doubted = None  # whether it is followed is another test's business
+            motion._unconfirmed = None  # whether it is followed is another test's business
             if what == "lose":
                 motion.halt(link, now)
             elif what == "other hands":

@@ -50,7 +50,7 @@ def test_a_silent_feed_holds_skips_and_lands(mode: str) -> None:
     assert robot.agent.phase == "resting" and fleet.time.time - silent < 2.2
     fleet.run(30.0, robot.done)
     assert robot.agent.status == SURROUNDINGS and rig.body.position[2] == 0.0 and not rig.body._on
-    assert any("no fresh position has come on udp:0.0.0.0:47300 for 2.0 s" in line for line in robot.lines)
+    assert any("no fresh position has arrived on udp:0.0.0.0:47300 for 2.0 s" in line for line in robot.lines)
 
 
 @MODES
