@@ -1,6 +1,7 @@
-"""Requests to the car's planner, which runs in its own process: start, goal and heading; the answer has a curve, too.
+"""Judge of the car's planner: answers questions (start, goal, heading) in the planner's process, with curves.
 
-No way goes out that was not looked at as it will be driven, along its whole length, whoever planned it.
+A curve is answered only after a collision check along its whole length, whichever search planned it. A user's own
+planner answers points; `targets.planning.ask` checks these.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from targets.planning.world import World
 
 
 class Asked:
-    """The car's judge: see `targets.planning.ask.Judge`."""
+    """Judge of the car's planner, an implementation of `targets.planning.ask.Judge`."""
 
     def __init__(self, name: str, world: World) -> None:
         if name == "rrt-star" and own_trees.is_needed():
@@ -39,7 +40,9 @@ class Asked:
         _warm_up()
 
     def serve(self, question: Question) -> Answer:
-        """The curve that is answered ends at the goal exactly but for rounding, and so do its points, exactly."""
+        """Return the answer to a question. It has a curve, unless a user's own planner gave it.
+
+        The curve ends at the goal but for rounding errors. The last of the answer's points is exactly the goal."""
         if self._own is not None:
             return self._own.serve(question)
         over = Limit(question.seconds, self._world.iterations)
@@ -80,7 +83,9 @@ class Asked:
         return found if wish.arrival is None else (*found, wish.arrival)
 
     def _found(self, task: Task, way: Way, over: Limit, end: Limit) -> Curve | None:
-        """Return the best way found when `over` says so; without one, the first until `end` does."""
+        """Return the best path found until the limit `over` is reached; None if there is none.
+
+        If no path was found by then, return the first one that is found before the limit `end` is reached."""
         if math.dist(task.start[:2], task.goal) < 1e-3:
             return None
         search, name = self._search, self._name
@@ -89,7 +94,7 @@ class Asked:
         if name == "rrt-star":
             return search.grown(task, way, over)
         best = None
-        for found in search.ways(task, way):
+        for found in search.paths(task, way):
             best = best if found is None else found
             late, spent = over(), end()
             if spent or (best is not None and (late or name == "rrt")):
@@ -99,7 +104,10 @@ class Asked:
 
 @cache
 def _warm_up() -> None:
-    """Search once around a wall: the first calls of numpy take some 20 ms more, which the first question has not."""
+    """Search a path around a wall once, before the first question.
+
+    The first calls of numpy take about 20 ms longer than later ones; the time limit of a question is too short for
+    that."""
     wall = Block(Point(1.9, -1.0, 0.0), Point(2.1, 2.5, 1.0))
     place = ground(
         World(
@@ -108,5 +116,5 @@ def _warm_up() -> None:
         )
     )  # fmt: skip
     task = Task((1.0, 1.0, 0.0), (3.0, 1.0), (0.0,))
-    ways = Search(0.9, True, place.area, 0).ways(task, place.around(task.start, task.goal))
-    next((way for way in ways if way is not None), None)
+    paths = Search(0.9, True, place.area, 0).paths(task, place.around(task.start, task.goal))
+    next((path for path in paths if path is not None), None)
