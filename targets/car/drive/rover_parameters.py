@@ -1,7 +1,7 @@
 """Parameters of an ArduPilot rover that matter when it is driven in MANUAL mode by overrides of RC channels.
 
-WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers do not matter, because MANUAL does not
-use them.
+WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers do not matter, because the rover does
+not use them in MANUAL mode.
 
 Two mechanisms stop a rover if the agent's computer dies. With a receiver, the overrides end after RC_OVERRIDE_TIME, and
 the receiver controls the rover again. Without a receiver, the channels keep their values after the overrides end
@@ -31,12 +31,12 @@ class Rule:
     """Rule for one parameter of the rover."""
 
     name: str
-    right: Callable[[float], bool]  # whether a value is right
+    right: Callable[[float], bool]  # whether a value of the parameter is right
     expected: str  # the right values, in words
     why: str  # consequence of a wrong value
     vital: bool = False  # whether the check fails with a wrong value; otherwise it warns
-    older: tuple[str, ...] = ()  # names in older versions
-    optional: bool = False  # older versions lack the parameter and behave as required
+    older: tuple[str, ...] = ()  # names of the parameter in older versions of ArduPilot
+    optional: bool = False  # whether older versions lack the parameter but behave as required
 
     @property
     def wanted(self) -> Wanted:
@@ -57,7 +57,7 @@ class Rule:
 def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
     """Return the rules for a car with these settings.
 
-    `receiver`: whether the rover receives a remote control; None if unknown."""
+    `receiver`: whether the rover receives signals of a remote control; None if unknown."""
     return (
         _one("MAV_GCS_SYSID", GROUND_STATION, "else the rover ignores the agent's overrides", True, ("SYSID_MYGCS",)),
         Rule(
@@ -83,7 +83,9 @@ def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
 
 
 def findings(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
-    """Return one result for each wrong parameter, the vital ones first; `readings` has an entry for every rule."""
+    """Return one check result for each wrong parameter, vital parameters first.
+
+    `readings`: the parameters that were read; a rule whose parameter is missing is left out."""
     by_name = {reading.wanted.name: reading for reading in readings}
     checked = [rule for rule in rules(settings, receiver) if rule.name in by_name]
     wrong = [found for rule in checked if (found := rule.judged(by_name[rule.name]))]

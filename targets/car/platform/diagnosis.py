@@ -20,12 +20,12 @@ from targets.car.drive.links import Links
 from targets.car.drive.watchdog import LATE
 
 STALE = 0.3  # seconds without a position sample after which the car brakes
-_STEP, _STEPS = 0.05, 60  # seconds of one poll, and maximum number of polls of a check
+_STEP, _STEPS = 0.05, 60  # seconds from poll to poll, and maximum number of polls of a check
 _DRIVE_STEPS = 110  # polls to wait for the drive's answer; a silent drive raises Unready after 5 s
-_CHECK_STEPS = 100  # further polls in which a drive that answers is asked for its parameters
+_CHECK_STEPS = 100  # maximum number of further polls, in which an answering drive is asked for its parameters
 _WATCHED = 1.0  # seconds for which a position feed is measured
 LEAST_RATE = 10.0  # Hz; a position source with a lower rate gets a warning
-LEAST_STEERING = 0.8  # share of max_steering that the servo's range must allow; below, there is a warning
+LEAST_STEERING = 0.8  # share of max_steering that the servo's range must allow; a smaller share gives a warning
 MOST_ERPM = 100_000.0  # default of l_max_erpm in the VESC firmware
 
 
@@ -65,7 +65,7 @@ def slow(lag: float) -> str:
 
 
 def lag_findings(lag: float | None) -> list[Finding]:
-    """Check the motor's lag that was measured when the car drove last; no check if none was stored."""
+    """Check the motor's lag that was measured when the car drove last; return no check without a stored lag."""
     if lag is None:
         return []
     told = f"{lag:.1f} s when the car drove last"
@@ -75,7 +75,7 @@ def lag_findings(lag: float | None) -> list[Finding]:
 
 
 def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Check that the drive answers and reports no fault, and its parameters. Opens and closes the drive."""
+    """Check that the drive answers, reports no fault and has right parameters. Opens and closes the drive."""
     try:
         drive = opened(settings, links, frame)
     except Unready as error:
@@ -109,7 +109,7 @@ def _answering(drive: Drive) -> Finding:
 
 
 def watchdog_finding(links: Links) -> Finding:
-    """Check that a watchdog process can be started and answers. It holds the null device meanwhile."""
+    """Check that a watchdog's process starts and answers. During the check, it holds the null device."""
     watch = links.watchdog()
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -156,7 +156,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
 
 
 def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Check rate and place of the positions that the drive itself estimates. Opens and closes the drive."""
+    """Check rate and place of the positions that a rover's drive estimates. Opens and closes the drive."""
     came: list[float] = []
     place = Point()
     try:
@@ -193,7 +193,9 @@ def _placed(p: Point, fence: Box) -> Finding:
 
 
 def _arriving(settings: CarSettings, came: list[float], oldest: float, end: float) -> Finding:
-    """Check rate, age and gaps of samples. Times in s: `came`: arrival of each sample; `end`: end of the check."""
+    """Check rate, age and gaps of position samples.
+
+    Times in seconds. `came`: arrival of each sample; `oldest`: largest age; `end`: end of the check."""
     rate = sum(t > came[0] for t in came) / max(end - came[0], _STEP)
     gap = max(b - a for a, b in pairwise([*came, end]))
     found = f"{rate:.0f} Hz on {settings.position}, {oldest * 1e3:.0f} ms old, longest gap {gap:.2f} s"

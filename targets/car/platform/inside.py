@@ -21,9 +21,9 @@ from targets.planning.process import bounded
 
 
 def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Car:
-    """Return a car whose links, clock and planners are the simulator's.
+    """Return a car whose links, clock and planners belong to the simulator.
 
-    See koordgen.runtime.vehicle.simulator_services."""
+    `inside`: the services that the simulator offers."""
     return Car(settings, key, InsideLinks(inside), partial(bounded, inside), inside.now)
 
 
@@ -32,7 +32,7 @@ class InsideLinks:
 
     def __init__(self, inside: SimulatorServices) -> None:
         self._inside = inside
-        self._drive: Callable[[bytes], object] = lambda data: None  # where the watchdog writes to
+        self._drive: Callable[[bytes], object] = lambda data: None  # writes the watchdog's brake command to the drive
 
     def serial(self, device: str) -> ByteLink:
         stream: Stream = self._inside.stream(device)
@@ -68,8 +68,8 @@ class InsideLinks:
 class Watching:
     """Simulated watchdog: implements `watched.Watch`.
 
-    Like watchdog.py, it brakes if no command arrives for LATE seconds. It brakes for LAST seconds, also if the agent
-    lives. It always answers at once, and runs until the simulation ends."""
+    Like watchdog.py, it brakes if no command arrives for LATE seconds. Unlike watchdog.py, it brakes for LAST seconds
+    even if the agent lives, answers at once, and runs until the simulation ends."""
 
     trouble = ""
 

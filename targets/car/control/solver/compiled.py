@@ -40,7 +40,7 @@ class CompiledSolver:
     def __call__(
         self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
     ) -> list[float] | None:
-        """See `problem.Solver`."""
+        """Implement `problem.Solver`."""
         self._problem[:] = [*self._head, *present, *wished]
         self._inputs[:] = [*inputs]
         cost = self._solve(self._problem, self._inputs, self._states, self.effort)
@@ -48,7 +48,7 @@ class CompiledSolver:
 
 
 def load(limits: Limits, cache: Path | None = None) -> CompiledSolver:
-    """Return the solver, from the cache or newly compiled: see `native.load`. Raises NotCompiled."""
+    """Return the solver, from the cache of compiled libraries or newly compiled. Raises NotCompiled."""
     return CompiledSolver(native.load(SOURCE, FLAGS, _prove, cache), limits)
 
 
