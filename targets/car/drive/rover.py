@@ -248,7 +248,7 @@ class RoverDrive:
     def _prepare(self, now: float) -> None:
         """Switch the rover to MANUAL, then arm it once.
 
-        Only a heartbeat proves the mode: in the first second after boot, the rover acknowledges a mode, then drops it."""
+        Only a heartbeat proves the mode: in the first second after boot, the rover acknowledges a mode but drops it."""
         if self._taken or not self.heard:
             return
         if not self._ours:
