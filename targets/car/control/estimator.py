@@ -15,6 +15,7 @@ from koordgen.runtime.values.points import Pose
 from targets.car.base.bicycle import State, advance, turning_radius, wrap
 
 SMOOTHING = 0.056  # seconds, time constant of the correction of position and yaw: a gain of 0.3 at a feed's 50 Hz
+
 # Seconds of positions from which the speed is estimated by a line fit if the drive measures none. At 50 Hz, a noise of
 # 5 mm in the positions gives a noise of 0.014 m/s in the speed, so a standing car is seen to stand. The speed is late
 # by half of this time.
@@ -24,7 +25,7 @@ SPEED_WINDOW = 0.3
 # most WHILE. SLIDE and SPIN allow for a car that slides or is pushed.
 JUMP, YAW_JUMP = 0.3, 0.5  # metres, radians
 SLIDE, SPIN = 1.0, 2.0  # m/s, rad/s
-WHILE = 0.5  # seconds
+WHILE = 0.5  # seconds; longest time that counts in these limits
 WHEEL_FRESH = 0.25  # seconds for which a measured speed counts as current
 
 
@@ -42,6 +43,7 @@ class Estimator:
         self._predicted: float | None = None
         self._wheel: tuple[float, float] | None = None  # last measured speed (m/s) and its time
         self._sample: tuple[Pose, float] | None = None  # last accepted sample, and the time of its measurement
+
         # For each recent sample: its time, and the distance (m) driven along the heading until then.
         self._ways: deque[tuple[float, float]] = deque()
         self._slope = 0.0  # speed estimated from positions, m/s

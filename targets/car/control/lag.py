@@ -13,6 +13,7 @@ WINDOW = 0.5  # length of a window, in seconds
 GAP = 0.2  # maximum time between two samples of a window, in seconds
 CHANGE = 0.06  # m/s; windows with a smaller change of speed are ignored, because they show noise
 KEPT = 0.95  # factor by which each new window reduces the weight of the older ones
+
 # The estimate is valid if the weighted sum of squared changes of speed is at least ENOUGH, (m/s)^2, from FEWEST windows
 # or more.
 ENOUGH, FEWEST = 0.05, 4

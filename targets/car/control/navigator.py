@@ -21,12 +21,14 @@ from targets.car.planning.planner import SLIVER, Area, arc, segments
 from targets.car.planning.reasons import NoWay
 
 STANDING = 0.05  # m/s; a car that is not faster counts as standing
+
 # A new path is requested if the target has moved by more than MOVED (m) + MOVED_SHARE * (distance of car and target).
 MOVED, MOVED_SHARE = 0.02, 0.05
 # A path with changes of gear is driven to its end if the target has moved by at most this share of the distance
 # between car and target. If each move of the target led to a new path, the car might never reach a change of gear.
 COMMIT = 0.4
 ARC_REACH = 0.5  # m; to a target within this distance, the car first tries a single arc without the planner
+
 # Maximum distance of a single arc's end from the target, in units of the reached radius. STANDING_BY: for a standing
 # car; FOLLOWING: for a car on the last segment of its path.
 STANDING_BY, FOLLOWING = 0.4, 1.5
@@ -36,10 +38,12 @@ STRAYED = 0.08  # m; with a larger lateral error, the car stops if an obstacle i
 OFF_PATH = 0.25  # m; with a larger lateral error, a new path is requested
 BEHIND = 0.5  # m; maximum distance of a driving car from the start of a planned path when the path arrives
 RETRY = 1.0  # seconds between a failed planning request and the next one
+
 # In units of the reached radius: a car that has arrived stays within STAY of the target and drives on beyond LEAVE.
 STAY, LEAVE = 0.9, 1.5
 SETTLE = 1.0  # seconds at a distance between STAY and LEAVE after which the car drives on
 STUCK = 2.0  # seconds without motion after which `progress` reports that a driving car does not move
+
 # Other robots' paths are checked over the stopping distance, plus the distance driven in REACTION (seconds) at maximum
 # speed, plus CAUTION (m).
 REACTION, CAUTION = 0.3, 0.3
@@ -211,7 +215,7 @@ class Navigator:
             return None
         if self._tracker.done and not standing:
             self._approach.drive(STEP)  # braking counts as driving, too: otherwise slow stops could recur forever
-            return None  # at the end of a path, or after a pause, the car first stands
+            return None  # at the end of a path, or after a pause, the car must stand before it drives on
         if self._tracker.done and away <= self._settings.reached_radius:
             self._arrived = True
             return None

@@ -138,7 +138,9 @@ class RoverDrive:
         self._link.greet(now)
         vehicle = self._link.vehicle
         if vehicle is not None and not self._is_rover:
-            raise Unready(f"what answers on {self._settings.drive} is no ArduPilot rover", "correct `drive`")
+            raise Unready(
+                f"the vehicle that answers on {self._settings.drive} is not an ArduPilot rover", "correct `drive`"
+            )
         self._hand_over()
         if self._silence > (STARTING if vehicle is None else LOST):
             hint = "check its supply and cable; the rover drives on for 3 s after the last override, then goes neutral"
@@ -205,9 +207,9 @@ class RoverDrive:
         if self._taken or not self._ours:
             return
         if self._mode != MANUAL:
-            self._taken = f"braking: somebody has changed the rover to mode {self._mode}, and keeps it"
+            self._taken = f"braking: somebody has changed the rover to mode {self._mode}, and controls it"
         elif self._was_armed and not self._armed:
-            self._taken = "braking: the rover was disarmed by somebody or by itself, and is left so"
+            self._taken = "braking: somebody, or the rover itself, has disarmed the rover; it stays disarmed"
         if self._taken:
             self._news.append(self._taken.removeprefix("braking: "))
             self._watch.release()

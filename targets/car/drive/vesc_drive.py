@@ -14,6 +14,7 @@ STUCK = 1.0  # seconds for which the device may accept no bytes before it counts
 STARTING = 5.0  # seconds within which the controller must give its first answer
 SILENT = 2.0  # seconds without an answer, or without the device, after which the controller counts as lost
 REPLUG = 0.5  # seconds between two attempts to reopen the device
+
 # Oldest supported major version of the firmware. In older versions, the number of the servo command belongs to a
 # command that changes the configuration.
 OLDEST = 3
@@ -24,7 +25,7 @@ _FAULTS = {
     4: "over-current",
     5: "its transistors are too hot",
     6: "the motor is too hot",
-}  # mc_fault_code, fmt: skip
+}  # names of the firmware's mc_fault_code, fmt: skip
 
 
 class VescDrive:
@@ -107,7 +108,7 @@ class VescDrive:
             hint = "update it with the VESC tool: in this version, the steering command would change the configuration"
             raise Unready(f"the motor controller's firmware {version} is too old", hint)
         if self._gone_since is not None and now - self._gone_since > SILENT:
-            raise Unready(self._gone, "check its cable and supply; it brakes by itself when commands stop")
+            raise Unready(self._gone, "check its cable and supply; the controller brakes by itself when commands stop")
         since = self._unanswered_since
         if since is not None and now - since > (SILENT if self._ever else STARTING):
             raise Unready(

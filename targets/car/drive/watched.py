@@ -136,7 +136,7 @@ class WatchdogProcess:
             )
         except OSError as error:
             ours.close()
-            self._tell(f"the watchdog cannot be started: {error.strerror or error}; the car does not drive without")
+            self._tell(f"the watchdog cannot be started: {error.strerror or error}; without it, the car does not drive")
             return
         finally:
             theirs.close()

@@ -82,7 +82,7 @@ class Avoidance:
         self._paths = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
 
     def plan(self, state: State, gear: int, goal: Point, obstacles: Any) -> Path:
-        """Return a path for the program: points that represent a drivable curve; () if there is none.
+        """Return a path for the program: points that represent a drivable curve; () if no path was found.
 
         The curve is stored, and driven if the program commands these points."""
         start = Point(state.x, state.y, 0.0)
@@ -189,7 +189,7 @@ class Avoidance:
             free = lane.free(curve, station, min(ahead, best))
             if free < best:
                 best = free
-                inside = f"the car stands in robot {name}'s path, and its way does not soon lead out of it"
+                inside = f"the car stands in robot {name}'s path, and its own path does not soon lead out of it"
                 self.blocker = inside if free == 0.0 and lane.inside else f"robot {name}'s path is {free:.1f} m ahead"
         return best
 

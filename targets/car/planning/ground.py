@@ -25,6 +25,7 @@ FAR = 0.5  # maximum slack (m) that `Way.slack` returns
 CELL = 0.5  # metres: width of the square cells for which nearby obstacles are cached
 LEAST_STEP = 0.004  # minimum distance (m) between two checked poses
 PAD = 0.006  # metres added to the distances of planned paths; the outline moves less than this in LEAST_STEP
+
 # If an obstacle is too near to the car at the start, the path keeps this share of the start's distance from it.
 LEAVING = 0.95
 # Lower limit of the distance that LEAVING gives, as a share of the clearance; it applies if the start is farther away.
@@ -69,7 +70,7 @@ class Ground:
     """Fixed surroundings of a car: its outline, its area and the obstacles of the fleet file. Metres, local ENU."""
 
     def __init__(self, body: Footprint, curvature: float, area: Area, fixed: Iterable[Shape], clearance: float) -> None:
-        """`curvature`: the maximum (1/m). `clearance`: distance (m) to keep between outline and obstacles."""
+        """`curvature`: maximum curvature (1/m). `clearance`: distance (m) to keep between outline and obstacles."""
         self.body, self.area, self.clearance = body, area, clearance
         self.least = LEAST * clearance
         self.pace = body.pace(curvature)

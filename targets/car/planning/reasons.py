@@ -1,4 +1,4 @@
-"""Reasons why a car has no way to its target: the planner's answer, or an obstacle on the planned way."""
+"""Reasons why a car has no path to its target: the planner's answer, or an obstacle on the planned path."""
 
 from __future__ import annotations
 
@@ -75,5 +75,5 @@ def _named(target: Point2) -> str:
 
 
 def _placed(place: Point2) -> str:
-    x, y = (round(c, 2) + 0.0 for c in place)  # + 0.0: no -0.00
+    x, y = (round(c, 2) + 0.0 for c in place)  # adding 0.0 turns -0.0 into 0.0
     return f"({x:.2f}, {y:.2f})"

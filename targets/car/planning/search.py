@@ -36,7 +36,7 @@ UNIT = 8  # short cuts tried in one unit of work
 TRIES = 150  # unsuccessful short cuts of one path in a row, after which the search for other paths goes on
 WORTH = 1.3  # a path that costs more than this times the cheapest one of a lattice is not shortened
 SHOTS = 3  # maximum number of curves to the goal that are tried from one pose of a lattice
-LEAST_CUT = 0.1  # metres; shorter stretches of a path are not cut short
+LEAST_CUT = 0.1  # metres; a shorter stretch of a path is not replaced by a short cut
 GAIN = 1e-3  # metres by which a short cut must lower the price
 FORWARDS = 0.3  # share of the short cuts that are tried without reverse gear, because they may be cheaper
 

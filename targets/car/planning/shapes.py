@@ -189,14 +189,14 @@ def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iter
     for grid in scene.grids:
         x, y, size = grid.x, grid.y, grid.size
         if max(abs((x + 0.5) * size - start[0]), abs((y + 0.5) * size - start[1])) < reach + size:
-            yield _box(x * size, y * size, (x + 1) * size, (y + 1) * size, "what the program named")
+            yield _box(x * size, y * size, (x + 1) * size, (y + 1) * size, "an obstacle that the program named")
         else:
             cells.setdefault(size, set()).add((x, y))
     for size, places in cells.items():
         for x, y, right, upper in rectangles(places):
-            yield _box(x * size, y * size, right * size, upper * size, "what the program named")
+            yield _box(x * size, y * size, right * size, upper * size, "an obstacle that the program named")
     for p in scene.points:
-        yield Shape(((p.x, p.y),), 0.0, "what the program named")
+        yield Shape(((p.x, p.y),), 0.0, "an obstacle that the program named")
     for path in scene.others:
         yield from _ways(path, body.reach)
 

@@ -39,18 +39,18 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
     pace = f"{share:.0%} of the throttle" if settings.is_rover else f"{erpm:.0f} ERPM"
     told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {pace}"
     if 2 * radius > room:
-        hint = "it cannot turn round: look at wheelbase, max_steering, the servo's gain and offset, and the geofence"
+        hint = "the car cannot turn round: check wheelbase, max_steering, the servo's gain and offset, the geofence"
         return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
     if settings.braking < BRAKING * settings.max_acceleration:
         slower = f"brakes with {settings.braking:g} m/s^2, {told}"
-        hint = "it would be driven as if it braked better than it does: lower max_acceleration, or mend the brakes"
+        hint = "the planned braking is harder than the brakes allow: lower max_acceleration, or repair the brakes"
         return Finding("limits", "fail", slower, f"{BRAKING * settings.max_acceleration:g} m/s^2 or more", hint)
     if settings.steering_limit < LEAST_STEERING * settings.max_steering:
-        hint = "the servo's range ends before the wheels': look at steering_to_servo_gain and steering_to_servo_offset"
+        hint = "the servo cannot steer that far: check steering_to_servo_gain and steering_to_servo_offset"
         steering = f"steers {settings.steering_limit:.2f} rad, {told}"
         return Finding("limits", "warn", steering, f"max_steering, {settings.max_steering:g} rad", hint)
     if erpm > MOST_ERPM:
-        hint = "a VESC refuses more as delivered: look at max_speed and speed_to_erpm_gain"
+        hint = "a VESC with default settings refuses more: check max_speed and speed_to_erpm_gain"
         return Finding("limits", "warn", told, f"{MOST_ERPM:.0f} ERPM or less", hint)
     return Finding("limits", "ok", told)
 
@@ -95,13 +95,15 @@ def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> li
     finally:
         drive.close(standing=True)
     if not drive.heard:
-        return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
+        return [
+            Finding("drive", "fail", drive.blocked, "an answer", "switch the drive on, and check the setting `drive`")
+        ]
     return [_answering(drive), *(checked or [])]
 
 
 def _answering(drive: Drive) -> Finding:
     if drive.fault:
-        hint = "it brakes while this lasts; the VESC tool tells what the fault means"
+        hint = "the car brakes while the fault lasts; the VESC tool explains the fault"
         return Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)
     if drive.doubt:
         return Finding("drive", "warn", drive.about, why=drive.doubt)
@@ -123,7 +125,7 @@ def watchdog_finding(links: Links) -> Finding:
     finally:
         watch.close(standing=True)
         os.close(nothing)
-    hint = "; ".join(watch.news()) or "is the computer overloaded?"
+    hint = "; ".join(watch.news()) or "check whether the computer is overloaded"
     return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
 
 
@@ -179,15 +181,15 @@ def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFr
     finally:
         drive.close(standing=True)
     if not came:
-        hint = "does its EKF know its place and heading? Else give the car a position feed"
-        return [Finding("position", "fail", f"the rover has not told where it is for {now:.0f} s", "10 Hz", hint)]
+        hint = "check that the rover's EKF has position and heading, or give the car a position feed"
+        return [Finding("position", "fail", f"the rover has not reported its position for {now:.0f} s", "10 Hz", hint)]
     return [_arriving(settings, came, 0.0, now), _placed(place, fence)]
 
 
 def _placed(p: Point, fence: Box) -> Finding:
     where = f"({p.x:.2f}, {p.y:.2f}) m"
     if not inside(fence, p):
-        hint = "is the base station's origin the fleet's, and does it track this robot's markers?"
+        hint = "check that the base station has the fleet's origin, and tracks this robot's markers"
         return Finding("place", "fail", where, "inside the geofence", hint)
     return Finding("place", "ok", f"{where}, inside the geofence")
 
@@ -202,8 +204,8 @@ def _arriving(settings: CarSettings, came: list[float], oldest: float, end: floa
     wanted = f"{LEAST_RATE:g} Hz or more, none older than {STALE:g} s"
     if gap + oldest > STALE:
         return Finding(
-            "position", "fail", found, wanted, "the car brakes at each gap: see to the base station's network"
+            "position", "fail", found, wanted, "the car brakes at each gap: check the base station's network"
         )
     if rate < LEAST_RATE:
-        return Finding("position", "warn", found, wanted, "it drives less exactly: raise the base station's rate")
+        return Finding("position", "warn", found, wanted, "the car drives less exactly: raise the base station's rate")
     return Finding("position", "ok", found)

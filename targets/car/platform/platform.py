@@ -205,15 +205,15 @@ class Car:
         if self._estimator.refused(now) <= JUMPED:
             return
         if not self._stood:
-            hint = "does the motion capture system take another body, or its mirror image, for this one?"
+            hint = "check whether the motion capture system confuses this car with another body or its mirror image"
             raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
         self._estimator.begin_anew()
         self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: accepted")
 
     def _no_position(self, waited: float) -> Unready:
         if self._settings.position == FROM_DRIVE:
-            hint = "does the rover's EKF have a position and a heading? Else give the car a position feed"
-            return Unready(f"the rover has not told where it is for {waited:.0f} s", hint)
+            hint = "check that the rover's EKF has position and heading, or give the car a position feed"
+            return Unready(f"the rover has not reported its position for {waited:.0f} s", hint)
         return Unready(*self._feed.silent(self._settings.position, waited))
 
     @property

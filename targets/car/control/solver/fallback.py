@@ -16,6 +16,7 @@ from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Lim
 
 ITERATIONS = 8  # maximum SQP iterations; from a shifted plan, one to three suffice
 DEFECT = 1e-2  # metres, radians, m/s; maximum difference of a plan's states from the states that its inputs lead to
+
 # Metres, radians, m/s. If the last plan predicted the present state within this tolerance, it is the initial guess.
 NEAR = 0.1
 _STRIDE = INPUTS + STATES
