@@ -45,7 +45,7 @@ class Estimator:
         self._sample: tuple[Pose, float] | None = None  # last accepted sample, and the time of its measurement
 
         # For each recent sample: its time, and the distance (m) driven along the heading until then.
-        self._ways: deque[tuple[float, float]] = deque()
+        self._distances: deque[tuple[float, float]] = deque()
         self._slope = 0.0  # speed estimated from positions, m/s
         self._refusing: float | None = None  # time of the first jump since the last accepted sample
         self._anew = False  # whether the next sample is accepted wherever it is
@@ -112,7 +112,7 @@ class Estimator:
     def begin_anew(self) -> None:
         """Accept the next sample wherever it is, because the car was carried there."""
         self._sample = self._refusing = None
-        self._ways.clear()
+        self._distances.clear()
         self._slope, self._anew = 0.0, True
 
     def _differentiate(self, pose: Pose, measured: float) -> None:
@@ -124,11 +124,11 @@ class Estimator:
                 return
             moved = pose.position - last.position
             way = moved.x * math.cos(pose.yaw) + moved.y * math.sin(pose.yaw)
-            way += self._ways[-1][1] if self._ways else 0.0
+            way += self._distances[-1][1] if self._distances else 0.0
         self._sample = (pose, measured)
-        self._ways.append((measured, way))
-        while measured - self._ways[0][0] > SPEED_WINDOW:
-            self._ways.popleft()
-        middle = sum(time for time, _ in self._ways) / len(self._ways)
-        spread = sum((time - middle) ** 2 for time, _ in self._ways)
-        self._slope = sum((time - middle) * gone for time, gone in self._ways) / spread if spread > 1e-6 else 0.0
+        self._distances.append((measured, way))
+        while measured - self._distances[0][0] > SPEED_WINDOW:
+            self._distances.popleft()
+        middle = sum(time for time, _ in self._distances) / len(self._distances)
+        spread = sum((time - middle) ** 2 for time, _ in self._distances)
+        self._slope = sum((time - middle) * gone for time, gone in self._distances) / spread if spread > 1e-6 else 0.0

@@ -159,17 +159,17 @@ class Navigator:
         if _rolls_against(state, curve):
             self._tracker.stop()
         elif self._target is not None:
-            self._take(curve, self._target)
+            self._adopt(curve, self._target)
 
-    def _take(self, curve: Curve, target: tuple[float, float]) -> None:
+    def _adopt(self, curve: Curve, target: tuple[float, float]) -> None:
         self._curve = curve
         self._planned_for = self._considered = target
         self._failed_for, self._arrived = None, False
         self._arrival = curve.end[2]
         way = segments(curve)
-        self._approach.take(curve.length, len(way), self._crossed)
+        self._approach.record_path(curve.length, len(way), self._crossed)
         self._crossed = False
-        self._tracker.take(way)
+        self._tracker.set_path(way)
 
     def pause(self) -> None:
         """Drop the path but keep the target, because the caller brakes the car."""
@@ -300,7 +300,7 @@ class Navigator:
         if _same(self._failed_for, target, MOVED) and now < self._retry_at:
             return False
         if away <= ARC_REACH and (curve := self._near(state, target)) is not None:
-            self._take(curve, target)
+            self._adopt(curve, target)
             return True
         if away <= STANDING_BY * self._settings.reached_radius:
             self.progress = "standing at the target"  # to come nearer, the car would have to change gears
@@ -358,7 +358,7 @@ class Navigator:
         if _rolls_against(state, curve):
             self._tracker.stop()
             return
-        self._take(curve, target)
+        self._adopt(curve, target)
 
 
 def _rolls_against(state: State, curve: Curve) -> bool:

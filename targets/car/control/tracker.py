@@ -121,7 +121,7 @@ class Tracker:
         self._driven = 0.0  # total length (m) of the completed segments
         self.done = True
 
-    def take(self, path: Sequence[Segment]) -> None:
+    def set_path(self, path: Sequence[Segment]) -> None:
         """Replace the path to be followed.
 
         The MPC keeps its plan, because a path that is replanned while the car drives begins like the old path."""

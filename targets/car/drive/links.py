@@ -71,10 +71,10 @@ class SerialLink:
         import serial
 
         self._device = device
-        self._gone: tuple[type[Exception], ...] = (OSError, TypeError, termios.error, serial.SerialException)
+        self._errors: tuple[type[Exception], ...] = (OSError, TypeError, termios.error, serial.SerialException)
         try:
             self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
-        except (*self._gone, ValueError) as error:
+        except (*self._errors, ValueError) as error:
             number = getattr(error, "errno", None)
             # EAGAIN from flock means that another process has locked the device, which strerror would not explain.
             reason = "another program has it" if number == errno.EAGAIN else os.strerror(number) if number else error
@@ -84,7 +84,7 @@ class SerialLink:
     def read(self) -> bytes:
         try:
             return bytes(self._port.read(4096))
-        except self._gone as error:
+        except self._errors as error:
             raise self._lost(error) from None
 
     def write(self, data: bytes) -> int:
@@ -93,7 +93,7 @@ class SerialLink:
             return os.write(self._port.fileno(), data)
         except BlockingIOError:
             return 0
-        except self._gone as error:
+        except self._errors as error:
             raise self._lost(error) from None
 
     def fileno(self) -> int:
@@ -103,7 +103,7 @@ class SerialLink:
         return Unready(f"the motor controller at {self._device} is gone: {error}", "check its cable and supply")
 
     def close(self) -> None:
-        with suppress(*self._gone):
+        with suppress(*self._errors):
             self._port.close()
 
 

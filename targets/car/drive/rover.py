@@ -73,7 +73,7 @@ class RoverDrive:
         self._came: dict[int, float] = {}
         self._begun: float | None = None
         self._now = 0.0
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self._parameters: Parameters | None = None  # the rover's parameters; they are read only for a pre-flight check
         self._receiver: bool | None = None  # whether the rover receives signals of a remote control
         self._sticks_asked = -math.inf
@@ -131,7 +131,7 @@ class RoverDrive:
         speed = None
         for message in self._link.receive(now):
             self._came[message.get_msgId()] = now
-            speed = self._take(message, now) if message.get_msgId() in _RATES else speed
+            speed = self._receive(message, now) if message.get_msgId() in _RATES else speed
             self._note(message)
             if self._parameters is not None:
                 self._parameters.take(message)
@@ -159,7 +159,7 @@ class RoverDrive:
                 number = message.flight_sw_version
                 self._version = f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}"
 
-    def _take(self, message: Message, now: float) -> float | None:
+    def _receive(self, message: Message, now: float) -> float | None:
         """Process a streamed message. Return the EKF's signed speed (m/s), or None if the message has no speed."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
@@ -195,7 +195,7 @@ class RoverDrive:
         if not self._parameters.done(now):
             return None
         armed = [Finding("state", "warn", "armed", "disarmed", STAYS_ARMED)] if self._armed else []
-        return [*armed, *rover_parameters.findings(self._settings, self._receiver, self._parameters.readings)]
+        return [*armed, *rover_parameters.checks(self._settings, self._receiver, self._parameters.readings)]
 
     def fixes(self) -> list[tuple[Pose, float]]:
         """Implement `Drive.fixes`."""
@@ -211,7 +211,7 @@ class RoverDrive:
         elif self._was_armed and not self._armed:
             self._taken = "braking: somebody, or the rover itself, has disarmed the rover; it stays disarmed"
         if self._taken:
-            self._news.append(self._taken.removeprefix("braking: "))
+            self._log_lines.append(self._taken.removeprefix("braking: "))
             self._watch.release()
             self._held = None
 
@@ -262,7 +262,7 @@ class RoverDrive:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
         elif not self._was_armed:
             self._was_armed = True
-            self._news.append("the rover is armed; it stays armed if this agent is killed")
+            self._log_lines.append("the rover is armed; it stays armed if this agent is killed")
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
         """Implement `Drive.go`."""
@@ -292,7 +292,7 @@ class RoverDrive:
 
     def news(self) -> list[str]:
         """Implement `Drive.news`."""
-        told, self._news = self._news + self._watch.news(), []
+        told, self._log_lines = self._log_lines + self._watch.news(), []
         return told
 
     def close(self, standing: bool) -> None:

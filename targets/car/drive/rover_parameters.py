@@ -94,7 +94,7 @@ def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
     )  # fmt: skip
 
 
-def findings(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
+def checks(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
     """Return one check result for each wrong parameter, vital parameters first.
 
     `readings`: the parameters that were read; a rule whose parameter is missing is left out."""

@@ -44,11 +44,11 @@ class VescDrive:
         self._version: vesc.Version | None = None
         self._stuck_since: float | None = None
         self._unanswered_since: float | None = None
-        self._gone_since: float | None = None
-        self._gone = ""  # reason why the device is gone, in words
+        self._lost_since: float | None = None
+        self._loss = ""  # reason why the device is gone, in words
         self._retry = -math.inf
         self._ever = False  # whether the controller has ever answered
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self._link: ByteLink | None = self._opened()
 
     def _opened(self) -> ByteLink:
@@ -65,7 +65,7 @@ class VescDrive:
     @property
     def blocked(self) -> str:
         if self._link is None:
-            return f"braking: {self._gone}"
+            return f"braking: {self._loss}"
         if self._values is None or self._version is None:
             return f"waiting for the motor controller on {self._settings.drive}"
         return f"braking: the motor controller reports {self.fault}" if self.fault else self._watch.trouble
@@ -107,8 +107,8 @@ class VescDrive:
             version = f"{self._version.major}.{self._version.minor}"
             hint = "update it with the VESC tool: in this version, the steering command would change the configuration"
             raise Unready(f"the motor controller's firmware {version} is too old", hint)
-        if self._gone_since is not None and now - self._gone_since > SILENT:
-            raise Unready(self._gone, "check its cable and supply; the controller brakes by itself when commands stop")
+        if self._lost_since is not None and now - self._lost_since > SILENT:
+            raise Unready(self._loss, "check its cable and supply; the controller brakes by itself when commands stop")
         since = self._unanswered_since
         if since is not None and now - since > (SILENT if self._ever else STARTING):
             raise Unready(
@@ -135,16 +135,16 @@ class VescDrive:
             self._link = self._opened()
         except Unready:
             return
-        self._gone_since = self._unanswered_since = self._stuck_since = None
-        self._news.append(f"the motor controller at {self._device} is there again")
+        self._lost_since = self._unanswered_since = self._stuck_since = None
+        self._log_lines.append(f"the motor controller at {self._device} is there again")
 
     def _lose(self, error: Unready, now: float) -> None:
         self._watch.release()
         if self._link is not None:
             self._link.close()
-        self._link, self._gone, self._gone_since = None, error.message, now
+        self._link, self._loss, self._lost_since = None, error.message, now
         self._retry, self._unanswered_since = now + REPLUG, None
-        self._news.append(f"{error.message}: braking")
+        self._log_lines.append(f"{error.message}: braking")
 
     def ask(self, now: float) -> None:
         """Implement `Drive.ask`."""
@@ -202,7 +202,7 @@ class VescDrive:
 
     def news(self) -> list[str]:
         """Implement `Drive.news`."""
-        told, self._news = self._news + self._watch.news(), []
+        told, self._log_lines = self._log_lines + self._watch.news(), []
         return told
 
     def close(self, standing: bool) -> None:

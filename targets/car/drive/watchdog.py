@@ -53,12 +53,12 @@ class Watchdog:
             if self._end < math.inf:
                 time.sleep(wait)
             elif select.select([self._agent], [], [], None if wait == math.inf else wait)[0]:
-                self._take()
+                self._receive()
                 continue  # handle all messages before braking, because this process itself may have been suspended
             if (now := time.monotonic()) >= self._due:
                 self._write(now)
 
-    def _take(self) -> None:
+    def _receive(self) -> None:
         try:
             data, descriptors, _, _ = socket.recv_fds(self._agent, 4096, 1)
         except OSError:

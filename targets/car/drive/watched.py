@@ -70,8 +70,8 @@ class WatchdogProcess:
         self._begun = -math.inf
         self._asked: float | None = None  # time of the first command that the process has not acknowledged
         self._answering = False  # whether the process has answered since its start
-        self._news: list[str] = []
-        self._told = -math.inf  # time of the last log line on braking
+        self._log_lines: list[str] = []
+        self._logged_at = -math.inf  # time of the last log line on braking
         self._braked = 0  # number of times that the watchdog has braked since its last log line
 
     @property
@@ -112,7 +112,7 @@ class WatchdogProcess:
         return "braking: the watchdog does not answer" if silent else ""
 
     def news(self) -> list[str]:
-        told, self._news = self._news, []
+        told, self._log_lines = self._log_lines, []
         return told
 
     def close(self, standing: bool) -> None:
@@ -136,7 +136,7 @@ class WatchdogProcess:
             )
         except OSError as error:
             ours.close()
-            self._tell(f"the watchdog cannot be started: {error.strerror or error}; without it, the car does not drive")
+            self._log(f"the watchdog cannot be started: {error.strerror or error}; without it, the car does not drive")
             return
         finally:
             theirs.close()
@@ -176,22 +176,22 @@ class WatchdogProcess:
             if not data:
                 self._lose("ended")
             elif data[:1] == b"L":
-                self._tell_braked(struct.unpack("d", data[1:])[0], now)
+                self._log_braking(struct.unpack("d", data[1:])[0], now)
             else:
                 self._answering, self._asked = True, None
 
-    def _tell_braked(self, late: float, now: float) -> None:
+    def _log_braking(self, late: float, now: float) -> None:
         """Log that the watchdog braked, at most every OFTEN seconds: an overloaded computer causes it repeatedly."""
         self._braked += 1
-        if now - self._told < OFTEN:
+        if now - self._logged_at < OFTEN:
             return
         times = f"{self._braked} times, the last because" if self._braked > 1 else "because"
-        self._tell(f"the watchdog braked {times} no command had come for {late:.2f} s: the agent was stuck or starved")
-        self._told, self._braked = now, 0
+        self._log(f"the watchdog braked {times} no command had come for {late:.2f} s: the agent was stuck or starved")
+        self._logged_at, self._braked = now, 0
 
     def _lose(self, why: str) -> None:
         self._end(kill=True)
-        self._tell(f"the watchdog {why}; it is begun anew, and the car is braked until it answers")
+        self._log(f"the watchdog {why}; it is begun anew, and the car is braked until it answers")
 
     def _end(self, kill: bool) -> None:
         child, self._child = self._child, None
@@ -208,9 +208,9 @@ class WatchdogProcess:
             child.kill()
             child.wait(timeout=0.1)
 
-    def _tell(self, line: str) -> None:
-        if line not in self._news:
-            self._news.append(line)
+    def _log(self, line: str) -> None:
+        if line not in self._log_lines:
+            self._log_lines.append(line)
 
 
 class Unwatched:

@@ -28,7 +28,7 @@ class Approach:
         if self._target is None or math.dist(self._target, target) > self._same:
             self._target, self._driven, self._most, self.failed = target, 0.0, 0.0, False
 
-    def take(self, length: float, segments: int, anew: bool) -> None:
+    def record_path(self, length: float, segments: int, anew: bool) -> None:
         """Record a planned path of `length` metres.
 
         `anew`: it replaces a path that other robots' paths crossed, so the time limit is computed anew."""

@@ -62,7 +62,7 @@ class Asked:
             blocker = way.obstacle(goal.x, goal.y, headings[0])
             return Answer(question.number, (), f"the goal is too near to {blocker}")
         task = Task(start, (goal.x, goal.y), free, wish.gear)
-        curve = self._found(task, way, over, over.later(wish.patience))
+        curve = self._found(task, way, over, over.later(wish.time_limit))
         if curve is None or not way.clear(curve, 0.0):
             return Answer(question.number, (), "")
         middle = (Point(x, y, 0.0) for x, y in points(curve)[1:-1])

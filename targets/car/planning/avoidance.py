@@ -56,7 +56,7 @@ class Avoidance:
         self._paths: dict[str, Path] = {}  # robot's name -> its published path
         self._plans: dict[Path, Curve] = {}
         self._admitted: Path | None = None
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self.refusal = ""  # reason why the last command is not driven, in words; "" if it is driven
         self.blocker = ""  # description of the other robot's path that limited the result of `free` last
         self.unplanned = ""  # reason why the program's last call of the planner found no path, in words
@@ -119,7 +119,7 @@ class Avoidance:
         flat = tuple(Point(p.x, p.y, 0.0) for p in points)
         trouble = self._guard.trouble(flat[0], flat[1:])
         if trouble and not self.refusal:
-            self._news.append(f"not driven, holding instead: {trouble}")
+            self._log_lines.append(f"not driven, holding instead: {trouble}")
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
 
@@ -129,7 +129,7 @@ class Avoidance:
 
     def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
         """Request a path to a target, which `answer` returns later. Return False if no request is possible now."""
-        wish = Wish(state.yaw, gear, arrival=arrival, patience=PATIENCE)
+        wish = Wish(state.yaw, gear, arrival=arrival, time_limit=PATIENCE)
         start, goal = Point(state.x, state.y, 0.0), Point(target[0], target[1], 0.0)
         return self._driving.ask(start, goal, Scene(others=self._others), msgspec.msgpack.encode(wish), FIRST)
 
@@ -195,7 +195,7 @@ class Avoidance:
 
     def news(self) -> list[str]:
         """Return messages about problems since the last call, for the log."""
-        told, self._news = [*self._news, *self._program.news(), *self._driving.news()], []
+        told, self._log_lines = [*self._log_lines, *self._program.news(), *self._driving.news()], []
         return told
 
     def diagnose(self, sleep: Callable[[float], None]) -> Finding:

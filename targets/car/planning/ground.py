@@ -120,7 +120,7 @@ class Way:
         told = [(shape, kept) for shape in seen if (kept := self._beginning(shape)) is not None]
         own = [(*shape.bounds, kept, shape) for shape, kept in told]
         self._things = [ground.fixed]
-        self._told, self._near = told, near
+        self._reported, self._near = told, near
         if any(kept != ground.clearance for kept in near.values()):
             own += [
                 (*shape.bounds, kept, shape)
@@ -144,7 +144,7 @@ class Way:
         away = [kept for *_, shape in ground.fixed.kept if (kept := near.get(id(shape), ground.clearance)) is not None]
         changed = any(kept != ground.clearance for kept in away)
         fixed = ground.table.lowered(away) if changed else ground.table
-        return [fixed, ground.table_of(self._told)] if self._told else [fixed]
+        return [fixed, ground.table_of(self._reported)] if self._reported else [fixed]
 
     @property
     def cells(self) -> Cells:
@@ -218,7 +218,7 @@ class Way:
         area = self._area
         return all(area.contains(x, y) for x, y, _ in curve.ends) and self.open(curve.at, curve.length, pad)
 
-    def surely_clear(self, curve: Curve) -> bool:
+    def is_fully_clear(self, curve: Curve) -> bool:
         """Return whether the car keeps its distances along a whole curve, also between the checked poses."""
         return self.clear(curve, min(PAD, self._ground.pace * LEAST_STEP))
 

@@ -161,7 +161,7 @@ class Lattice:
             move, before = self._move[pose], self._before[pose]
             if pose not in self._sure:
                 x, y, yaw = self._poses[:3, before].tolist()
-                self._sure[pose] = self._way.surely_clear(Curve((x, y, yaw), (move,)))
+                self._sure[pose] = self._way.is_fully_clear(Curve((x, y, yaw), (move,)))
             if not self._sure[pose]:
                 return None
             found.append(move)

@@ -28,7 +28,7 @@ class Wish(msgspec.Struct, frozen=True, array_like=True):
     gear: int = 0  # direction in which the car rolls: 1 forward, -1 reverse, 0: it stands
     heading: float | None = None  # required heading at the goal; None: any
     arrival: float | None = None  # heading at the present path's end; also tried, so that a new path resembles it
-    patience: float = 0.0  # time limit that counts if no path was found within the question's `seconds`
+    time_limit: float = 0.0  # time limit that counts if no path was found within the question's `seconds`
 
 
 class Plan(msgspec.Struct, frozen=True, array_like=True):

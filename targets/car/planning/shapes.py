@@ -198,10 +198,10 @@ def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iter
     for p in scene.points:
         yield Shape(((p.x, p.y),), 0.0, "an obstacle that the program named")
     for path in scene.others:
-        yield from _ways(path, body.reach)
+        yield from _path_shapes(path, body.reach)
 
 
-def _ways(path: Path, reach: float) -> Iterator[Shape]:
+def _path_shapes(path: Path, reach: float) -> Iterator[Shape]:
     for p, q in pairwise(path if len(path) != 1 else path * 2):
         if min(p.z, q.z) > 2 * reach:  # a path that is higher than this does not concern a car
             continue

@@ -64,7 +64,7 @@ def slow(lag: float) -> str:
     )
 
 
-def lag_findings(lag: float | None) -> list[Finding]:
+def check_lag(lag: float | None) -> list[Finding]:
     """Check the motor's lag that was measured when the car drove last; return no check without a stored lag."""
     if lag is None:
         return []
@@ -74,7 +74,7 @@ def lag_findings(lag: float | None) -> list[Finding]:
     return [Finding("lag", "ok", told)]
 
 
-def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
+def check_drive(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
     """Check that the drive answers, reports no fault and has right parameters. Opens and closes the drive."""
     try:
         drive = opened(settings, links, frame)
@@ -110,7 +110,7 @@ def _answering(drive: Drive) -> Finding:
     return Finding("drive", "ok", drive.about)
 
 
-def watchdog_finding(links: Links) -> Finding:
+def check_watchdog(links: Links) -> Finding:
     """Check that a watchdog's process starts and answers. During the check, it holds the null device."""
     watch = links.watchdog()
     nothing = os.open(os.devnull, os.O_WRONLY)
@@ -129,7 +129,7 @@ def watchdog_finding(links: Links) -> Finding:
     return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
 
 
-def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
+def check_feed(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
     """Check rate and age of the position feed's samples, and that the position is inside the geofence.
 
     Opens and closes the feed's port."""
@@ -157,7 +157,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
     return [_arriving(settings, came, oldest, now), _placed(feed.pose.position, fence)]
 
 
-def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
+def check_fixes(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
     """Check rate and place of the positions that a rover's drive estimates. Opens and closes the drive."""
     came: list[float] = []
     place = Point()

@@ -79,8 +79,8 @@ class Watching:
         self._due = self._end = math.inf
         self._commanded = -math.inf
         self._braking = False
-        self._told = -math.inf
-        self._news: list[str] = []
+        self._logged_at = -math.inf
+        self._log_lines: list[str] = []
 
     def hold(self, device: int, brake: bytes, address: tuple[Any, ...] | None = None) -> None:
         self._brake = brake
@@ -102,17 +102,19 @@ class Watching:
         self._due = now + PERIOD
         if not self._braking:
             self._braking = True
-            self._tell(now)
+            self._log(now)
         self._write(self._brake)
 
-    def _tell(self, now: float) -> None:
-        if now - self._told >= OFTEN:
+    def _log(self, now: float) -> None:
+        if now - self._logged_at >= OFTEN:
             late = now - self._commanded
-            self._news.append(f"the watchdog braked because no command had come for {late:.2f} s: the agent was stuck")
-            self._told = now
+            self._log_lines.append(
+                f"the watchdog braked because no command had come for {late:.2f} s: the agent was stuck"
+            )
+            self._logged_at = now
 
     def news(self) -> list[str]:
-        told, self._news = self._news, []
+        told, self._log_lines = self._log_lines, []
         return told
 
     def close(self, standing: bool) -> None:

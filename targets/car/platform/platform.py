@@ -31,13 +31,13 @@ from targets.car.drive.links import Links, RealLinks
 from targets.car.planning.avoidance import Avoidance, MakePlanning
 from targets.car.platform.diagnosis import (
     STALE,
-    drive_findings,
-    feed_findings,
-    fix_findings,
-    lag_findings,
+    check_drive,
+    check_feed,
+    check_fixes,
+    check_lag,
+    check_watchdog,
     limits,
     slow,
-    watchdog_finding,
 )
 from targets.planning.process import Beside
 from targets.planning.route import Route, commanded, passed
@@ -86,26 +86,26 @@ class Car:
         self._started = 0.0
         self._next_control = -math.inf
         self._still_since: float | None = None
-        self._resting_since: float | None = None
+        self._stopping_since: float | None = None
         self._holding = False
         self._blocked = ""  # reason why the car brakes, in words; "" if it does not brake
         self._unplanned = Unplanned()
         self._lag = Lag()
         self._slow: bool | None = None  # whether the motor's last estimated lag is too long; None: unknown
         self._stood = False  # whether the car stood when the position source began to jump
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
 
     def diagnose(self) -> list[Finding]:
         """Implement `Platform.diagnose`."""
-        found = [*drive_findings(self._settings, self._links, self._frame), watchdog_finding(self._links)]
+        found = [*check_drive(self._settings, self._links, self._frame), check_watchdog(self._links)]
         if self._settings.position == FROM_DRIVE:
-            found += fix_findings(self._settings, self._fence, self._links, self._frame)
+            found += check_fixes(self._settings, self._fence, self._links, self._frame)
         else:
             feed = Feed(self._robot, self._key, self._application)
-            found += feed_findings(self._settings, self._fence, feed, self._links)
+            found += check_feed(self._settings, self._fence, feed, self._links)
         found += [
             limits(self._settings, self._fence),
-            *lag_findings(self._links.remembered()),
+            *check_lag(self._links.remembered()),
             self._loaded(),
             self._avoidance.diagnose(self._links.wait),
         ]
@@ -124,7 +124,7 @@ class Car:
         # Before the links are opened, because their buffers would fill while the solver compiles.
         self._navigator = self._build()
         if self._navigator.note:
-            self._news.append(self._navigator.note)
+            self._log_lines.append(self._navigator.note)
         self._open()
         self._avoidance.start()
         self._now = self._started = now
@@ -198,7 +198,7 @@ class Car:
 
     def _wait_for_positions(self, now: float) -> None:
         waited = now - self._started
-        if self._resting_since is not None:
+        if self._stopping_since is not None:
             return
         if self._estimator.time is None and waited > WAIT_FOR_FEED:
             raise self._no_position(waited)
@@ -208,7 +208,9 @@ class Car:
             hint = "check whether the motion capture system confuses this car with another body or its mirror image"
             raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
         self._estimator.begin_anew()
-        self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: accepted")
+        self._log_lines.append(
+            f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: accepted"
+        )
 
     def _no_position(self, waited: float) -> Unready:
         if self._settings.position == FROM_DRIVE:
@@ -259,9 +261,9 @@ class Car:
         before, self._slow = self._slow, is_long(lag)
         self._links.remember(lag)
         if self._slow:
-            self._news.append(slow(lag))
+            self._log_lines.append(slow(lag))
         elif before:
-            self._news.append(f"the motor follows its commands within {lag:.1f} s again")
+            self._log_lines.append(f"the motor follows its commands within {lag:.1f} s again")
 
     def _stands_still(self, navigator: Navigator, drives: bool, now: float) -> bool:
         """Return whether the car must brake because it stands still although it is driven."""
@@ -288,7 +290,7 @@ class Car:
 
     def _obstacle(self, drive: Drive, now: float) -> str:
         """Return the reason why the car must not drive now, in words; "" if it may drive."""
-        if self._resting_since is not None:
+        if self._stopping_since is not None:
             return "at rest" if self.rested else "braking to rest"
         if drive.blocked:
             return drive.blocked
@@ -320,7 +322,7 @@ class Car:
     @property
     def stall(self) -> str:
         """Implement `Platform.stall`."""
-        if self._navigator is None or self._resting_since is not None or self._holding:
+        if self._navigator is None or self._stopping_since is not None or self._holding:
             return ""
         idle = self._unplanned.why(self._now) if self._navigator.reached else ""
         stall = self._navigator.stall
@@ -413,20 +415,23 @@ class Car:
 
     def news(self) -> list[str]:
         """Implement `Platform.news`."""
-        told, self._news = [*self._news, *self._avoidance.news(), *self._feed.news(), *self._standstill.news()], []
+        told, self._log_lines = (
+            [*self._log_lines, *self._avoidance.news(), *self._feed.news(), *self._standstill.news()],
+            [],
+        )
         return told + (self._drive.news() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on
 
     def rest(self, now: float) -> None:
-        if self._resting_since is None:
-            self._resting_since = now
+        if self._stopping_since is None:
+            self._stopping_since = now
 
     @property
     def rested(self) -> bool:
         """True once the car has stood for STILL seconds, or, with unknown speed, braked for BLIND_BRAKING seconds."""
-        since = self._resting_since
+        since = self._stopping_since
         if since is None:
             return False
         if self._still_since is not None:
