@@ -15,7 +15,7 @@ from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from targets.car.planning.curves import Curve, Triple
-from targets.car.planning.ground import PAD, Way, ground
+from targets.car.planning.ground import PAD, Terrain, ground
 from targets.car.planning.planner import Plan, Wish, points
 from targets.car.planning.search import Search, Task
 from targets.car.planning.shapes import named
@@ -27,7 +27,7 @@ from targets.planning.pipe import Answer, Question
 from targets.planning.world import World
 
 
-class Asked:
+class CarJudge:
     """Judge of the car's planner, an implementation of `targets.planning.ask.Judge`."""
 
     def __init__(self, name: str, world: World) -> None:
@@ -53,17 +53,17 @@ class Asked:
         if reason:
             return Answer(question.number, (), reason)
         seen = named(question.scene, self._ground.body, (start[0], start[1]), self._ground.clearance)
-        way = self._ground.around(start, (goal.x, goal.y), seen)
-        if way.inside:
-            return Answer(question.number, (), f"the car is in {way.inside}")
+        terrain = self._ground.around(start, (goal.x, goal.y), seen)
+        if terrain.inside:
+            return Answer(question.number, (), f"the car is in {terrain.inside}")
         headings = self._headings(start, question.goal, wish)
-        free = tuple(h for h in headings if way.slack(goal.x, goal.y, h) >= PAD)
+        free = tuple(h for h in headings if terrain.slack(goal.x, goal.y, h) >= PAD)
         if not free:
-            blocker = way.obstacle(goal.x, goal.y, headings[0])
+            blocker = terrain.obstacle(goal.x, goal.y, headings[0])
             return Answer(question.number, (), f"the goal is too near to {blocker}")
         task = Task(start, (goal.x, goal.y), free, wish.gear)
-        curve = self._found(task, way, over, over.later(wish.time_limit))
-        if curve is None or not way.clear(curve, 0.0):
+        curve = self._found(task, terrain, over, over.later(wish.time_limit))
+        if curve is None or not terrain.clear(curve, 0.0):
             return Answer(question.number, (), "")
         middle = (Point(x, y, 0.0) for x, y in points(curve)[1:-1])
         path = (question.start, *middle, goal)
@@ -82,19 +82,19 @@ class Asked:
         found = tuple(self._search.headings(start, (goal.x, goal.y)))
         return found if wish.arrival is None else (*found, wish.arrival)
 
-    def _found(self, task: Task, way: Way, over: Limit, end: Limit) -> Curve | None:
+    def _found(self, task: Task, terrain: Terrain, over: Limit, end: Limit) -> Curve | None:
         """Return the best path found until the limit `over` is reached; None if there is none.
 
         If no path was found by then, return the first one that is found before the limit `end` is reached."""
         if math.dist(task.start[:2], task.goal) < 1e-3:
             return None
         search, name = self._search, self._name
-        if (curve := search.direct(task, way)) is not None or name == "straight":
+        if (curve := search.direct(task, terrain)) is not None or name == "straight":
             return curve
         if name == "rrt-star":
-            return search.grown(task, way, over)
+            return search.grown(task, terrain, over)
         best = None
-        for found in search.paths(task, way):
+        for found in search.paths(task, terrain):
             best = best if found is None else found
             late, spent = over(), end()
             if spent or (best is not None and (late or name == "rrt")):

@@ -3,7 +3,7 @@
 The check of a pose returns its slack: the distance (m) that every place of the outline can move without a collision.
 The next checked pose is as far away as this slack allows, whichever way the car turns. So a curve that is found clear
 is also clear between the checked poses, and a narrow place needs more checks. A search first checks many single poses
-at once (`Way.free`); that check does not cover the path between the poses.
+at once (`Terrain.free`); that check does not cover the path between the poses.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from targets.car.planning.planner import Area
 from targets.car.planning.shapes import Footprint, Shape, standing
 from targets.planning.world import World
 
-FAR = 0.5  # maximum slack (m) that `Way.slack` returns
+FAR = 0.5  # maximum slack (m) that `Terrain.slack` returns
 CELL = 0.5  # metres: width of the square cells for which nearby obstacles are cached
 LEAST_STEP = 0.004  # minimum distance (m) between two checked poses
 PAD = 0.006  # metres added to the distances of planned paths; the outline moves less than this in LEAST_STEP
@@ -99,13 +99,13 @@ class Ground:
     def things(self, kept: Iterable[Kept]) -> Things:
         return Things(list(kept), self.round + FAR)
 
-    def around(self, start: Triple, goal: tuple[float, float], seen: Iterable[Shape] = ()) -> Way:
+    def around(self, start: Triple, goal: tuple[float, float], seen: Iterable[Shape] = ()) -> Terrain:
         """Return the surroundings for one question; `seen` are obstacles that the program or other robots reported."""
-        return Way(self, start, goal, seen)
+        return Terrain(self, start, goal, seen)
 
 
-class Way:
-    """Surroundings of a car for one question: fixed obstacles, reported obstacles and the area.
+class Terrain:
+    """Terrain of a car for one question: fixed obstacles, reported obstacles and the area.
 
     `inside`: name of the first fixed obstacle that overlaps the car at the start; "" if there is none. A reported
     obstacle that overlaps the car there is ignored: its position is wrong, or it is the car itself. From other

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from targets.car.planning.curves import Curve, Piece, Triple
-from targets.car.planning.ground import Way
+from targets.car.planning.ground import Terrain
 from targets.car.planning.overlap import Floats, Indices
 
 BATCH = 24  # poses that are expanded at once
@@ -55,8 +55,14 @@ class Lattice:
 
     `wait`: number of turning radii that a pose waits in the queue for each level beyond the first."""
 
-    def __init__(self, start: Triple, radius: float, reverse: bool, way: Way, aim: Aim, wait: float) -> None:
-        self._radius, self._reverse, self._way, self._aim, self._wait = radius, reverse, way, aim, wait
+    def __init__(self, start: Triple, radius: float, reverse: bool, terrain: Terrain, aim: Aim, wait: float) -> None:
+        self._radius, self._reverse, self._terrain, self._aim, self._wait = (
+            radius,
+            reverse,
+            terrain,
+            aim,
+            wait,
+        )
         self._long, self._short = _Moves(radius, reverse, LONG), _Moves(radius, reverse, SHORT)
         self._least: list[dict[int, float]] = [{} for _ in LEVELS]  # by level: each cell's least cost of a pose
         self._poses = np.zeros((5, 1024))  # rows: x, y, yaw, cost, gear; one column for each pose that was found
@@ -96,7 +102,7 @@ class Lattice:
             return None
         best = seeing[np.argmin(left[seeing])]
         for shot in self._aim.shots((float(x[best]), float(y[best]), float(poses[2, best]))):
-            if self._way.clear(shot):
+            if self._terrain.clear(shot):
                 moves = self._back(int(batch[best]))
                 return None if moves is None else [*moves, *shot.pieces]
         return None
@@ -107,7 +113,7 @@ class Lattice:
         ahead, aside, turn = moves.samples
         c, s = np.cos(yaw), np.sin(yaw)
         px, py, pyaw = x + c * ahead - s * aside, y + s * ahead + c * aside, yaw + turn
-        free = self._way.free(px.ravel(), py.ravel(), pyaw.ravel()).reshape(px.shape)
+        free = self._terrain.free(px.ravel(), py.ravel(), pyaw.ravel()).reshape(px.shape)
         open_ = np.flatnonzero(np.logical_and.accumulate(free, axis=2)[:, :, moves.ends])
         px, py, pyaw = (of[:, :, moves.ends].ravel()[open_] for of in (px, py, pyaw))
         total = cost[:, 0] + moves.prices + CHANGE * (gear[:, 0] * moves.gears < 0)
@@ -161,7 +167,7 @@ class Lattice:
             move, before = self._move[pose], self._before[pose]
             if pose not in self._sure:
                 x, y, yaw = self._poses[:3, before].tolist()
-                self._sure[pose] = self._way.is_fully_clear(Curve((x, y, yaw), (move,)))
+                self._sure[pose] = self._terrain.is_fully_clear(Curve((x, y, yaw), (move,)))
             if not self._sure[pose]:
                 return None
             found.append(move)

@@ -10,7 +10,7 @@ import msgspec
 
 from targets.car.planning.curves import Curve, Piece, Triple, along, seen_from
 
-JUDGE = "targets.car.planning.ask:Asked"
+JUDGE = "targets.car.planning.ask:CarJudge"
 SPACING = 0.05  # maximum metres between the poses of a path
 REVERSE_PRICE = 0.1  # additional cost (m) of each metre in reverse
 GEAR_PRICE = 0.5  # cost (m) of a change of gear, for which the car has to stop

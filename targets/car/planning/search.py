@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from targets.car.planning.curves import Curve, Piece, Triple, dubins, reeds_shepp
 from targets.car.planning.field import Field
-from targets.car.planning.ground import PAD, Way
+from targets.car.planning.ground import PAD, Terrain
 from targets.car.planning.lattice import Aim, Lattice
 from targets.car.planning.planner import Area, Point2, price
 from targets.planning import own_trees
@@ -106,7 +106,7 @@ class Search:
                 if self._space.reverse:
                     yield bearing - side * aside + math.pi
 
-    def direct(self, task: Task, way: Way) -> Curve | None:
+    def direct(self, task: Task, terrain: Terrain) -> Curve | None:
         """Return the cheapest collision-free single curve to the goal; None if there is none."""
         curves = [
             (space.distance(task.start, (*task.goal, heading)), heading, i)
@@ -120,29 +120,29 @@ class Search:
                 break  # a price is at least the length, and all further curves are longer
             curve = self._spaces[i].curve(task.start, (*task.goal, heading), length)
             cost = price(curve.pieces, task.gear)
-            if cost < least and way.clear(curve):
+            if cost < least and terrain.clear(curve):
                 best, least = curve, cost
         return best
 
-    def paths(self, task: Task, way: Way) -> Iterator[Curve | None]:
+    def paths(self, task: Task, terrain: Terrain) -> Iterator[Curve | None]:
         """Yield after each unit of work a path that is cheaper than all earlier ones, or None.
 
         The iteration ends when a lattice has no pose left to expand."""
         least, dice = math.inf, random.Random(self._seed or 0)
         most = math.inf
-        for found in self._explored(task, way):
-            if found is not None and (cost := price(found.pieces, task.gear)) < most and way.clear(found, 0.0):
+        for found in self._explored(task, terrain):
+            if found is not None and (cost := price(found.pieces, task.gear)) < most and terrain.clear(found, 0.0):
                 most = min(most, WORTH * cost)
                 if cost < least:
                     least = cost
                     yield found
-                for curve in self._shortened(found, task, way, dice):
+                for curve in self._shortened(found, task, terrain, dice):
                     cheaper = price(curve.pieces, task.gear) < least
                     least = min(least, price(curve.pieces, task.gear))
                     yield curve if cheaper else None
             yield None
 
-    def _explored(self, task: Task, way: Way) -> Iterator[Curve | None]:
+    def _explored(self, task: Task, terrain: Terrain) -> Iterator[Curve | None]:
         """Yield after each batch of a lattice the path that it found, or None.
 
         The first lattice nearly always finds a path sooner. The second one, with a shorter wait, finds paths where the
@@ -154,9 +154,9 @@ class Search:
             for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
                 yield self._space.curve(at, goal, length)
 
-        aim = Aim(task.goal, Field(task.goal, way.cells, way.passable()), shots)
+        aim = Aim(task.goal, Field(task.goal, terrain.cells, terrain.passable()), shots)
         reverse = self._space.reverse
-        lattices = [Lattice(task.start, self._radius, reverse, way, aim, wait).explore() for wait in WAITS]
+        lattices = [Lattice(task.start, self._radius, reverse, terrain, aim, wait).explore() for wait in WAITS]
         for number in count():
             lattice = lattices[0 if number < ALONE else number % 2]
             try:
@@ -165,17 +165,17 @@ class Search:
                 return
             yield None if pieces is None else Curve(task.start, merged(pieces))
 
-    def _shortened(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Iterator[Curve]:
+    def _shortened(self, curve: Curve, task: Task, terrain: Terrain, dice: random.Random) -> Iterator[Curve]:
         """Yield the path after each unit of short cuts. A short cut is used if it is clear and cheaper."""
         vain = 0
         while vain < TRIES:
             for _ in range(UNIT):
-                cut = self._cut(curve, task, way, dice)
+                cut = self._cut(curve, task, terrain, dice)
                 vain = 0 if cut is not None else vain + 1
                 curve = curve if cut is None else cut
             yield curve
 
-    def _cut(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Curve | None:
+    def _cut(self, curve: Curve, task: Task, terrain: Terrain, dice: random.Random) -> Curve | None:
         """Return the path with one random short cut; None if the short cut is not clear or not cheaper."""
         begin, end = sorted((dice.uniform(-0.2, 1.2), dice.uniform(-0.2, 1.2)))
         begin, end = max(0.0, begin) * curve.length, min(1.0, end) * curve.length
@@ -189,24 +189,24 @@ class Search:
             return None
         cut = space.curve(a, b, length)
         pieces = merged((*curve.between(0.0, begin), *cut.pieces, *curve.between(end, curve.length)))
-        if price(pieces, task.gear) > least - GAIN or not way.clear(cut):
+        if price(pieces, task.gear) > least - GAIN or not terrain.clear(cut):
             return None
         whole = Curve(curve.start, pieces)
-        return whole if way.clear(whole, 0.0) else None
+        return whole if terrain.clear(whole, 0.0) else None
 
-    def grown(self, task: Task, way: Way, over: Limit) -> Curve | None:
+    def grown(self, task: Task, terrain: Terrain, over: Limit) -> Curve | None:
         """Return the path that OMPL's RRT* finds until `over`; None if it finds none. Needs OMPL."""
         space = self._space
         assert space.ompl is not None, own_trees.NEEDS_OMPL
 
         def clear(a: Triple, b: Triple, length: float) -> bool:
-            return way.slack(*b) >= PAD and way.clear(space.curve(a, b, length))
+            return terrain.slack(*b) >= PAD and terrain.clear(space.curve(a, b, length))
 
         goals = [(*task.goal, heading) for heading in task.headings]
         poses = space.ompl.grown(task.start, goals, clear, over, self._seed)
-        return None if poses is None else self._joined(task.start, poses, way)
+        return None if poses is None else self._joined(task.start, poses, terrain)
 
-    def _joined(self, start: Triple, poses: list[Triple], way: Way) -> Curve | None:
+    def _joined(self, start: Triple, poses: list[Triple], terrain: Terrain) -> Curve | None:
         """Return the poses of an RRT* solution, joined to one curve; None if a joint is not clear.
 
         A joint may be obstructed, because the tree may have checked another curve of equal length."""
@@ -214,7 +214,7 @@ class Search:
         at = start
         for pose in poses:
             curve = self._space.curve(at, pose)
-            if not way.clear(curve):
+            if not terrain.clear(curve):
                 return None
             pieces += curve.pieces
             at = curve.end
