@@ -33,7 +33,7 @@ ARC_REACH = 0.5  # m; to a target within this distance, the car first tries a si
 # car; FOLLOWING: for a car on the last segment of its path.
 STANDING_BY, FOLLOWING = 0.4, 1.5
 LOOKAHEAD = 0.4  # m; look-ahead distance of pure pursuit towards a moving target; with a shorter one, the car sways
-TRAIL = 0.3  # m of a moving target's travelled path from which its direction is estimated
+TRAIL = 0.3  # m; length of a moving target's travelled path from which the target's direction is estimated
 STRAYED = 0.08  # m; with a larger lateral error, the car stops if an obstacle is near, and does not return to its path
 OFF_PATH = 0.25  # m; with a larger lateral error, a new path is requested
 BEHIND = 0.5  # m; maximum distance of a driving car from the start of a planned path when the path arrives

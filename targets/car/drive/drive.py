@@ -78,7 +78,7 @@ class Drive(Protocol):
         ...
 
     def brake(self, now: float) -> None:
-        """Brake; at standstill, go neutral."""
+        """Brake the car; at standstill, command neutral."""
         ...
 
     def news(self) -> list[str]:

@@ -65,7 +65,7 @@ def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
         ),
         Rule(
             "RC_OPTIONS", lambda v: not int(v) & IGNORE_OVERRIDES, f"a number without the bit {IGNORE_OVERRIDES}",
-            "with that bit the rover ignores overrides, and does not drive", vital=True,
+            "with this bit set, the rover ignores overrides and does not drive", vital=True,
         ),
         _one("RCMAP_ROLL", STEERING, "with another value, the agent's steering goes to another channel", True),
         _one("RCMAP_THROTTLE", THROTTLE, "with another value, the agent's throttle goes to another channel", True),

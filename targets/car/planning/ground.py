@@ -44,7 +44,7 @@ class Things:
     """Obstacles: shapes, each with the distance (m) to keep from it, found by place."""
 
     def __init__(self, kept: list[Kept], reach: float) -> None:
-        """`reach`: obstacles within this distance (m) of the footprint's middle can matter for a check."""
+        """`reach`: distance (m) from the footprint's middle within which obstacles are checked."""
         self.kept = kept
         self._reach = reach + CELL  # the middle of a cell is less than CELL from its corners
         self._near: dict[tuple[int, int], list[Kept]] = {}

@@ -49,7 +49,7 @@ class Lane:
         return math.inf
 
     def _way_out(self, curve: Curve, station: float) -> float:
-        """Return after how many metres of a curve the car is out of the lane; infinite if it must not drive there."""
+        """Return after how many metres of a curve the car is out of the lane; infinite if the curve is not allowed."""
         longest = self._body.length + 2 * self._body.reach
         middle, begin = self._distances(self._here)
         for i in range(1, math.ceil(longest / LOOK) + 1):

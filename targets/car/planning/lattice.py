@@ -31,7 +31,7 @@ TINY = 9.0  # turning radii that a pose waits before it is also expanded by shor
 LEVELS = ((0.34, 24), (0.12, 36), (0.05, 96))  # for each level: width of a cell in turning radii, number of headings
 EAGER = 2.6  # weight of the estimated remaining distance against the cost of the path driven to a pose
 AHEAD = 0.5  # turning radii: the remaining distance of a pose is estimated from the places this far ahead and behind
-BACKWARDS, CHANGE = 1.2, 0.4  # cost of a metre in reverse; cost (m) of a change of gear
+BACKWARDS, CHANGE = 1.2, 0.4  # costs in metres: of each metre in reverse, of a change of gear
 
 # A goal is in sight if the estimated distance around obstacles is at most SEEN times the straight distance plus
 # SEEN_NEAR metres.

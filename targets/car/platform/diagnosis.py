@@ -40,7 +40,7 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
     told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {pace}"
     if 2 * radius > room:
         hint = "the car cannot turn round: check wheelbase, max_steering, the servo's gain and offset, the geofence"
-        return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
+        return Finding("limits", "fail", told, f"a turning circle that fits into the geofence, {room:g} m wide", hint)
     if settings.braking < BRAKING * settings.max_acceleration:
         slower = f"brakes with {settings.braking:g} m/s^2, {told}"
         hint = "the planned braking is harder than the brakes allow: lower max_acceleration, or repair the brakes"
