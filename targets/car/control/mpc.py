@@ -1,10 +1,11 @@
 """Model-predictive control of the kinematic bicycle: a small optimisation problem, solved at every control step.
 
 The horizon is 20 steps of 50 ms. Module `solver.problem` defines the problem; this module chooses the solver. Speed and
-steering of the initial state are those last commanded, not measured, because drive and servo follow setpoints.
+steering of the initial state are the last commanded values, not measured ones, because drive and servo follow
+setpoints.
 
-The commands are computed from the solver's inputs by integration within the limits. So whatever a solver answers, each
-command is reachable from the one before.
+This module integrates the solver's inputs within the limits to get the commands. So whatever inputs a solver returns,
+each command is reachable from the previous command.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ class Command:
 
 
 def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
-    """Return the compiled C solver and "", or else the CasADi solver and a log line that gives the reason.
+    """Return the C solver and ""; if it cannot be compiled, the CasADi solver and a log line with the reason.
 
-    At the first start on a robot, this compiles the solver for some seconds."""
+    At the first start on a robot, this compiles the solver, which takes some seconds."""
     try:
         return compiled.load(limits, cache), ""
     except NotCompiled as error:
@@ -52,8 +53,8 @@ class Mpc:
     """Model-predictive controller of one car.
 
     `failures`: number of successive control steps without a usable plan.
-    `trouble`: reason why the last step had none; "" if it had.
-    `note`: reason why the slower solver is used; "" if the C solver is.
+    `trouble`: reason why the last step had no usable plan; "" if it had one.
+    `note`: reason why the slower CasADi solver is used; "" if the C solver is used.
     `solver`, `clock`: replaced in tests; the clock (s) measures the solver's run time.
     """
 
@@ -84,10 +85,11 @@ class Mpc:
     def follow(self, state: State, reference: Sequence[State]) -> Command:
         """Return the command of the next control step.
 
-        `state`: its speed and steering are those last commanded.
-        `reference`: states wished for after 1 to 20 steps; their yaw is continuous with the car's.
+        `state`: pose of the car, with the speed and steering commanded last.
+        `reference`: desired states after 1 to 20 steps; their yaw is continuous with the car's yaw.
 
-        Without a new plan in time, the last plan, shifted, is used for BLIND_STEPS steps; then the car brakes.
+        If there is no new plan in time, the last plan is shifted and used for up to BLIND_STEPS steps; after that, the
+        car brakes.
         """
         before = self._last
         if math.isfinite(state.speed) and math.isfinite(state.steering):
@@ -109,7 +111,7 @@ class Mpc:
         return self._last
 
     def _attempt(self, state: State, before: Command, reference: Sequence[State]) -> tuple[list[float] | None, str]:
-        """Return the inputs of a new plan, or why there is none."""
+        """Return the inputs of a new plan and "", or None and the reason why there is no plan, in words."""
         if not state.finite():
             return None, "the car's state is not finite"
         if len(reference) != STEPS or not all(r.finite() for r in reference):
@@ -122,7 +124,7 @@ class Mpc:
         return inputs, ""
 
     def _commands(self, before: Command, inputs: list[float]) -> list[Command]:
-        """Return the commands that result from the inputs; each is reachable from the previous one."""
+        """Return the commands that result from the inputs; each command is reachable from the previous command."""
         plan = []
         for k in range(STEPS):
             wished = Command(before.speed + STEP * inputs[2 * k], before.steering + STEP * inputs[2 * k + 1])
@@ -131,7 +133,7 @@ class Mpc:
         return plan
 
     def _within_reach(self, before: Command, wished: Command) -> Command:
-        """Return the command nearest to the desired one that the limits allow after `before`."""
+        """Return the command nearest to `wished` that the limits allow after the command `before`."""
         limits = self._limits
         faster, further = limits.acceleration * STEP, limits.steering_rate * STEP
         return Command(

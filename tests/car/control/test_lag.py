@@ -94,13 +94,13 @@ def test_an_approach_is_given_up_by_its_first_way_alone() -> None:
     approach.aim((4.0, 0.0))
     assert not drive(60.0), "no way was planned"
     approach.aim((5.0, 0.0))
-    approach.take(4.0, 1, anew=False)
+    approach.record_path(4.0, 1, anew=False)
     assert not drive(15.5)
-    approach.take(9.0, 3, anew=False)  # it has left the one before
+    approach.record_path(9.0, 3, anew=False)  # it has left the one before
     approach.aim((5.05, 0.0))
     assert drive(1.0)
     approach.aim((0.0, 0.0))
-    approach.take(4.0, 1, anew=False)
+    approach.record_path(4.0, 1, anew=False)
     assert not drive(15.5)
-    approach.take(4.0, 1, anew=True)  # another robot was in the way
+    approach.record_path(4.0, 1, anew=True)  # another robot was in the way
     assert not drive(15.5) and drive(1.0)

@@ -43,7 +43,7 @@ def drive(mpc: Mpc, path: list[Segment], body: TestBody, noise: float = 0.0) -> 
     dice = random.Random(4)
     tracker = Tracker(LIMITS, mpc)
     tracker.stop()
-    tracker.take(path)
+    tracker.set_path(path)
     last, worst, steps = Command(0.0, 0.0), 0.0, 0
     while not tracker.done and steps < 1200:
         truth = body.truth

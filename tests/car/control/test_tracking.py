@@ -47,7 +47,7 @@ def mpc() -> Mpc:
 def test_it_stands_before_what_is_in_the_way_and_goes_on_when_it_has_gone(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
-    tracker.take([line(5.0)])
+    tracker.set_path([line(5.0)])
     speeds = drive(tracker, body, lambda: 2.0 - body.truth.x, 120)
     assert max(speeds) > 0.9
     assert 1.9 < body.truth.x < 2.0
@@ -61,7 +61,7 @@ def test_its_station_counts_the_segments_that_are_behind(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
     back = Segment(-1, tuple(PathPose(1.0 - 0.05 * i, 0.0, 0.0, 0.0) for i in range(11)), 0.5)
-    tracker.take([line(1.0), back])
+    tracker.set_path([line(1.0), back])
     while tracker.gear == 1 and not tracker.done:
         drive(tracker, body, lambda: math.inf, 1)
     assert tracker.gear == -1 and 0.95 < tracker.station < 1.1
@@ -72,7 +72,7 @@ def test_its_station_counts_the_segments_that_are_behind(mpc: Mpc) -> None:
 def test_what_appears_too_near_is_braked_for_as_hard_as_the_limits_allow(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
-    tracker.take([line(8.0)])
+    tracker.set_path([line(8.0)])
     drive(tracker, body, lambda: math.inf, 30)
     seen = body.truth.x
     speeds = drive(tracker, body, lambda: seen + 0.1 - body.truth.x, 20)
@@ -102,7 +102,7 @@ def test_a_path_made_anew_at_each_step_is_driven_without_stopping(mpc: Mpc) -> N
     for k in range(160):
         t = body.truth
         ahead = tuple(PathPose(t.x + 0.05 * i, t.y, t.yaw, 0.0) for i in range(17))  # ends 0.8 m ahead, always
-        tracker.take([Segment(1, ahead, 0.8)])
+        tracker.set_path([Segment(1, ahead, 0.8)])
         last = tracker.step(State(t.x, t.y, t.yaw, last.speed, last.steering))
         assert not tracker.done and tracker.failures == 0
         body.drive(last.speed, last.steering)
@@ -115,7 +115,7 @@ def test_a_path_made_anew_at_each_step_is_driven_without_stopping(mpc: Mpc) -> N
 def test_a_solver_that_fails_ten_times_brings_the_car_to_a_stop_and_says_why() -> None:
     tracker, body = Tracker(SLOW, Mpc(SLOW, lambda present, wished, inputs: None)), TestBody()
     body.truth = State(0.0, 0.0, 0.0, 0.8, 0.0)
-    tracker.take([line(5.0)])
+    tracker.set_path([line(5.0)])
     speeds = drive(tracker, body, lambda: math.inf, 12)
     assert tracker.failures == 12 > BLIND_STEPS
     assert tracker.trouble == "the solver finds no plan to follow the path"

@@ -184,7 +184,7 @@ def test_a_pilot_who_takes_the_mode_keeps_it_and_gets_the_sticks() -> None:
     assert world.rover is not None
     world.rover.mode = HOLD
     world.run(1.5)
-    assert world.car.progress == "braking: somebody has changed the rover to mode 4, and keeps it"
+    assert world.car.progress == "braking: somebody has changed the rover to mode 4, and controls it"
     assert world.rover.mode == HOLD and not world.car.ready
     world.overrides()
     world.run(0.5)
@@ -245,7 +245,7 @@ def test_a_copter_is_not_driven(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World()
     monkeypatch.setattr(mavlink, "MAV_TYPE_GROUND_ROVER", mavlink.MAV_TYPE_QUADROTOR)
     world.car.start(world.now)
-    with pytest.raises(Unready, match="no ArduPilot rover"):
+    with pytest.raises(Unready, match="is not an ArduPilot rover"):
         world.run(2.0)
     assert not world.overrides()
 
@@ -282,13 +282,13 @@ def test_diagnosis_of_a_silent_rover() -> None:
 
 def test_diagnosis_of_an_estimate_that_is_not_there() -> None:
     found = {f.name: f for f in World(boot=60.0, position="rover").car.diagnose()}
-    assert found["position"].state == "fail" and "has not told where it is" in found["position"].found
+    assert found["position"].state == "fail" and "has not reported its position" in found["position"].found
 
 
 def test_a_rover_without_an_estimate_is_waited_for_and_then_unready() -> None:
     world = World(boot=100.0, position="rover")
     world.car.start(world.now)
-    with pytest.raises(Unready, match="has not told where it is"):
+    with pytest.raises(Unready, match="has not reported its position"):
         world.run(61.0)
 
 

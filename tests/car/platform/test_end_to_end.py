@@ -226,7 +226,7 @@ def test_a_device_that_takes_nothing_blocks_nobody() -> None:
 
 def test_the_planner_answers_curves_from_its_own_process() -> None:
     place = scenes.world((Block(Point(3.4, 0.0, 0.0), Point(3.6, 5.5, 1.0)),))
-    wish = msgspec.msgpack.encode(Wish(0.0, patience=0.5))
+    wish = msgspec.msgpack.encode(Wish(0.0, time_limit=0.5))
     beside = Beside("rrt-smoothed", place, 0.5, JUDGE)
     try:
         made(beside, time.sleep)

@@ -13,6 +13,7 @@ from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Lim
 
 SOURCE = Path(__file__).with_name("mpc.c")
 FLAGS = ("-std=c99", "-O1", "-shared", "-fPIC", "-lm")  # -O3 compiles three times as long and saves 8 %
+
 # Test problem with a known answer: a full stop 0.2 m ahead, from 0.8 m/s with a yaw error of 0.1 rad. PROBE_ANSWER is
 # the first acceleration (m/s^2) and steering rate (rad/s) that CasADi with IPOPT finds.
 PROBE_LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.4, steering_rate=3.0)
@@ -40,7 +41,7 @@ class CompiledSolver:
     def __call__(
         self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
     ) -> list[float] | None:
-        """See `problem.Solver`."""
+        """Implement `problem.Solver`."""
         self._problem[:] = [*self._head, *present, *wished]
         self._inputs[:] = [*inputs]
         cost = self._solve(self._problem, self._inputs, self._states, self.effort)
@@ -48,7 +49,7 @@ class CompiledSolver:
 
 
 def load(limits: Limits, cache: Path | None = None) -> CompiledSolver:
-    """Return the solver, from the cache or newly compiled: see `native.load`. Raises NotCompiled."""
+    """Return the solver, from the cache of compiled libraries or newly compiled. Raises NotCompiled."""
     return CompiledSolver(native.load(SOURCE, FLAGS, _prove, cache), limits)
 
 
