@@ -57,12 +57,12 @@ def test_a_car_finds_its_way_around_a_wall() -> None:
     wall = Block(Point(3.4, 0.0, 0.0), Point(3.6, 5.5, 1.0))
     for reverse in (True, False):
         place = scenes.world((wall,), reverse, seed=3, iterations=200)
-        answer = scenes.ask(car.Asked("rrt-smoothed", place), (1.0, 4.0, 0.0), Point(6.0, 4.0, 0.0))
+        answer = scenes.ask(car.CarJudge("rrt-smoothed", place), (1.0, 4.0, 0.0), Point(6.0, 4.0, 0.0))
         assert answer.path and answer.path[-1] == Point(6.0, 4.0, 0.0)
         assert not collisions(place, segments(scenes.curve(answer)))
 
 
-@pytest.mark.parametrize("asked", [Asked, car.Asked])
-def test_rrt_star_is_refused_and_said_why(asked: type[Asked | car.Asked]) -> None:
+@pytest.mark.parametrize("asked", [Asked, car.CarJudge])
+def test_rrt_star_is_refused_and_said_why(asked: type[Asked | car.CarJudge]) -> None:
     with pytest.raises(BadPlanner, match="needs OMPL, which has no wheel for this Python; use rrt-smoothed"):
         asked("rrt-star", scenes.world())
