@@ -80,7 +80,7 @@ class Still:
 
     period = 0.1
     ready = True
-    rested = True
+    stopped = True
     progress = "standing"
     stall = ""
 
@@ -106,7 +106,7 @@ class Still:
 
     def hold(self, on: bool, now: float) -> None: ...
 
-    def rest(self, now: float) -> None: ...
+    def stop(self, now: float) -> None: ...
 
     def close(self) -> None: ...
 

@@ -158,10 +158,10 @@ class Pilot:
         raise Unready(f"not in the air after 180 s: {said}")
 
     def land(self) -> None:
-        self.flight.rest(self.world.now())
+        self.flight.stop(self.world.now())
         for _ in range(round(90 / TICK)):
             self.tick()
-            if self.flight.phase is Phase.RESTED:
+            if self.flight.phase is Phase.STOPPED:
                 return
         raise Unready(f"not landed after 90 s: {self.flight.progress}")
 

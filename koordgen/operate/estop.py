@@ -267,7 +267,7 @@ class Stopping:
                     self._offer, self._offered, self.robot = offer, now, offer.robot
                 return further
             case Stopped(nonce, _, phase) if nonce == self._nonce:
-                self.phase = phase or "resting"
+                self.phase = phase or "stopping"
                 return True
         return False
 
@@ -321,7 +321,7 @@ def show(results: list[Called], form: str) -> str:
 def _result_text(result: Called) -> str:
     if not result.phase:
         return f"{result.note.replace(NO_ANSWER, NO_ANSWER.upper())} ({result.place.host}:{result.place.port})"
-    did = "has stopped" if result.phase == "rested" else "is stopping: it lands or brakes"
+    did = "has stopped" if result.phase == "stopped" else "is stopping: it lands or brakes"
     return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
 
 

@@ -18,7 +18,7 @@ class Standstill:
     """Standstill detector of one vehicle.
 
     `action`: reaction to a standstill, the setting `missed_action` of the fleet file.
-    "rest": the vehicle makes its safe stop.
+    "stop": the vehicle makes its safe stop.
     "hold": the vehicle brakes, and another path is planned. At the second standstill at the same place, the vehicle
     holds until the next command; `holding` gives the reason."""
 
@@ -47,8 +47,8 @@ class Standstill:
         self._last, self._moved = position, None
         place = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         line = f"no progress for {NO_PROGRESS:g} s at {place} on the way to {goal}"
-        if self._action == "rest":
-            raise Unready(line, "check what blocks the vehicle, which stops because missed_action is rest")
+        if self._action == "stop":
+            raise Unready(line, "check what blocks the vehicle, which stops because missed_action is stop")
         if not again:
             self._news.append(f"{line}: braking, and looking for another path")
         else:

@@ -114,7 +114,7 @@ class _Both:
         return [self.fleet.robots[pid] for pid in range(N_SYS)]
 
     def failed(self) -> list[int]:
-        return [pid for pid, robot in enumerate(self.robots) if robot.agent.phase in ("resting", "rested")]
+        return [pid for pid, robot in enumerate(self.robots) if robot.agent.phase in ("stopping", "stopped")]
 
     def begin(self) -> State | None:
         """Return the state before round 1; None if an init fails, which must happen on both sides."""

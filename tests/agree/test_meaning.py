@@ -100,7 +100,7 @@ def test_geofence() -> None:
     guard = Guard(Safety(outside_fence=0.0), Box(Point(-1, -1, -1), Point(1, 1, 1)), (TIP,))
     assert own_position(sensed, (TIP,)) == Point(9, 0, 0)
     guard.judge(sensed, 1.0)
-    assert guard.judge(sensed, 1.1).action == "rest"
+    assert guard.judge(sensed, 1.1).action == "stop"
 
 
 def test_prover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

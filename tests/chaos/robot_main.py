@@ -26,7 +26,7 @@ class Still:
 
     period = 0.1
     ready = True
-    rested = True
+    stopped = True
     progress = "standing"
     stall = ""
 
@@ -55,7 +55,7 @@ class Still:
 
     def hold(self, on: bool, now: float) -> None: ...
 
-    def rest(self, now: float) -> None: ...
+    def stop(self, now: float) -> None: ...
 
     def close(self) -> None: ...
 

@@ -132,7 +132,7 @@ def test_all_robots_come_to_rest_soon(
     for process, folder in zip(processes, bundles, strict=True):
         _, errors = process.communicate(timeout=5)
         assert process.returncode == 0, errors
-        ((_, why, when),) = [p for p in phases(folder) if p[0] == "resting"]
+        ((_, why, when),) = [p for p in phases(folder) if p[0] == "stopping"]
         assert why == "emergency stop"
         assert when - began < 0.2 + 0.2, "0.2 s, and as much for a busy machine"
 
@@ -169,7 +169,7 @@ def test_another_key_stops_nobody(
     other.chmod(0o600)
     assert main(["estop", str(fleet), "--key", str(other)]) == 5
     assert "3 of 3 robots did not answer" in capsys.readouterr().err
-    assert "resting" not in [p for p, _, _ in phases(bundles[0])]
+    assert "stopping" not in [p for p, _, _ in phases(bundles[0])]
     assert run(bundles[0], "--status", "--format", "json") == 0
     assert json.loads(capsys.readouterr().out)["rejected"]["order: not authentic"] > 5
 
@@ -307,7 +307,7 @@ def test_a_host_that_nobody_knows_keeps_nobody_waiting(
     began = time.monotonic()
     results = estop.stop_all([estop.Place("slow", "slow.local", 9), there], 0, bytes(range(32)), 0.5)
     assert time.monotonic() - began < 1.0
-    assert [(r.phase, r.note) for r in results] == [("", "no answer"), ("resting", "")]
+    assert [(r.phase, r.note) for r in results] == [("", "no answer"), ("stopping", "")]
 
 
 def test_it_needs_no_package_beside_yaml_and_waits_for_no_compiler(fleet: Path, tmp_path: Path) -> None:

@@ -55,7 +55,7 @@ class StandIn:
         fence = [[p.x, p.y, p.z] for p in (FENCE.lo, FENCE.hi)]
         return {
             "boot": f"{self.pid:016x}", "app": "show", "release": "a" * 32, "robot": self.name, "pid": self.pid,
-            "names": [peer.name for peer in self.peers], "phase": "resting" if self.stopped else "running",
+            "names": [peer.name for peer in self.peers], "phase": "stopping" if self.stopped else "running",
             "round": number, "delta": DELTA, "geofence": fence, "monitors": {"counts": {"held": 2}, "violated": []},
             "host": {"clock_ms": 0.31, "disk_gb": 21.5, "temperature": 48.0},
             "pose": {"position": [place.x, place.y, place.z], "yaw": now / 8 % math.tau, "age": 0.02},
@@ -65,7 +65,7 @@ class StandIn:
 
     def poll(self) -> None:
         if not self.deaf:
-            self.stopped = self.control.poll(time.monotonic(), "resting" if self.stopped else "running", self.report)
+            self.stopped = self.control.poll(time.monotonic(), "stopping" if self.stopped else "running", self.report)
 
 
 class StandIns:

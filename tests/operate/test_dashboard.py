@@ -120,7 +120,7 @@ def test_the_page_shows_every_robot_and_stops_them_when_the_button_is_held(tmp_p
             assert [robot.stopped for robot in fleet.robots] == [True, True, False]
             assert "STOP IT BY HAND" in answers[0] and "robot00 is stopping" in answers[1]
             assert "1 of 3 robots did NOT answer" in browser.text("stopped")
-            browser.wait("fleet.robots.map((robot) => robot.phase)", lambda found: found[:2] == ["resting"] * 2)
+            browser.wait("fleet.robots.map((robot) => robot.phase)", lambda found: found[:2] == ["stopping"] * 2)
         browser.wait("$('summary').innerText", lambda text: "no connection to the dashboard" in text)
         assert not browser.complaints
 

@@ -289,7 +289,7 @@ def test_a_real_agent_runs_from_its_release(host: FakeHost, tmp_path: Path) -> N
         assert refused(session.call, "switch", id=release.id, seconds=60).message.endswith("alice (starting)")
         assert session.call("stop", robots=None, seconds=60) == {"stopped": ["alice"]}
         texts = [text for _, text in session.call("logs", robot="alice", lines=99)["lines"]]
-        assert any(text.endswith("alice: info: rested") for text in texts)
+        assert any(text.endswith("alice: info: stopped") for text in texts)
         assert session.call("verify", id=release.id)["checked"] == len(release.bundles["alice"])  # as it was
     assert (host.folder / "state" / "alice.state").exists()
     assert b'"alice"' in (host.folder / "traces" / "alice" / "trace.jsonl").read_bytes()

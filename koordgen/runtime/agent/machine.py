@@ -276,12 +276,12 @@ class Agent:
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
-            self._journal.view(view, self._names, over=self.phase in ("resting", "rested"))
+            self._journal.view(view, self._names, over=self.phase in ("stopping", "stopped"))
             self._link.keep_time(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 
     def _judge_missed(self, rounds: Rounds) -> None:
-        """Warn after `missed_rounds` consecutive missed rounds, and stop safely if `missed_action` is `rest`.
+        """Warn after `missed_rounds` consecutive missed rounds, and stop safely if `missed_action` is `stop`.
 
         A round is missed if no event ran in it because the store was not current or the robot woke late. The counter is
         used rather than records of rounds, because records may wait for a commit.
@@ -290,13 +290,13 @@ class Agent:
         self._missed = rounds.counters.in_a_row
         if before < safety.missed_rounds <= self._missed:
             self._journal.warn(f"{self._missed} rounds in a row {rounds.reason}")
-            if safety.missed_action == "rest":
+            if safety.missed_action == "stop":
                 self._stop_safely("the shared memory was not current for too many rounds", SURROUNDINGS)
 
     def _poll_body(self, now: float) -> float:
         self._next_body = max(self._next_body + self._platform.period, now)
-        if self.phase in ("resting", "rested"):
-            self._platform.rest(now)
+        if self.phase in ("stopping", "stopped"):
+            self._platform.stop(now)
         self._platform.poll(now)
         self._served, self._failures = now, 0
         for line in self._platform.news():
@@ -313,13 +313,13 @@ class Agent:
                     self._journal.progress(self._joining.waiting())
                 self._judge(now)
                 self._stalls.see(self._platform.stall, now)
-            case "resting" if self._platform.rested:
-                self._enter("rested", "")
+            case "stopping" if self._platform.stopped:
+                self._enter("stopped", "")
         self._end_when_stopped()
         return self._next_body
 
     def _end_when_stopped(self) -> None:
-        if self.phase == "rested":
+        if self.phase == "stopped":
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
             if self.done and not self._broken:
@@ -398,7 +398,7 @@ class Agent:
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)
         detail = "" if verdict.action == "go" else f"{verdict.reason} ({self._platform.progress})"
-        if verdict.action == "rest":
+        if verdict.action == "stop":
             self._stop_safely(detail, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
             self._journal.warn(detail if verdict.action == "hold" else "own position is fresh again")
@@ -408,13 +408,13 @@ class Agent:
 
     def _stop_safely(self, why: str, status: int) -> None:
         self.status = self.status or status
-        if self.phase in ("resting", "rested"):
+        if self.phase in ("stopping", "stopped"):
             return
-        self._stop_began = self._next_body = self._clock.now()  # the next poll calls the platform's `rest`
+        self._stop_began = self._next_body = self._clock.now()  # the next poll calls the platform's `stop`
         if self._rounds is not None:
             self._rounds.leave()
         self._body.retire()
-        self._enter("resting", why)
+        self._enter("stopping", why)
         self._journal.measure(self._link.rejected, self._stop_began, at_once=True)
         self._journal.judged(*self.monitors.summary())
 
@@ -426,7 +426,7 @@ class Agent:
         self._end_when_stopped()
         if not self._started:
             self.done = True
-        elif self.phase == "resting" and now - max(self._stop_began, self._served) > LOST_BODY:
+        elif self.phase == "stopping" and now - max(self._stop_began, self._served) > LOST_BODY:
             self._journal.error(f"the vehicle did not stop within {LOST_BODY:.0f} s")
             self.done = True
 
@@ -442,7 +442,7 @@ class Agent:
             self._journal.attempt(self.monitors.look, rounds.observation)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
-        if verdict.action == "rest" and self.phase == "running":
+        if verdict.action == "stop" and self.phase == "running":
             self._stop_safely(verdict.reason, VIOLATED)
 
     def _enter(self, phase: str, detail: str) -> None:

@@ -60,7 +60,7 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     # Number of consecutive rounds without current shared state after which `missed_action` applies.
     missed_rounds: Annotated[int, msgspec.Meta(ge=1, le=10000)] = 10
-    missed_action: Literal["hold", "rest"] = "hold"  # hold: warn and keep holding; rest: stop safely
+    missed_action: Literal["hold", "stop"] = "hold"  # hold: warn and keep holding; stop: stop safely
 
     # Number of rounds without messages of a robot after which the other robots continue without that robot.
     peer_timeout: Annotated[int, msgspec.Meta(ge=3, le=10000)] = 10

@@ -318,7 +318,7 @@ class Monitors:
         acting = [watched for watched in self.watched if watched.acting]
         for watched in acting:
             if watched.action in FOR_GOOD:
-                return Verdict("rest", f"{watched.word} is violated: {watched.why}")
+                return Verdict("stop", f"{watched.word} is violated: {watched.why}")
         return Verdict("hold", f"{acting[0].word} is violated") if acting else GO
 
     def report(self) -> dict[str, Any]:

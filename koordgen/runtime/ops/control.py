@@ -169,7 +169,7 @@ class Control:
             return flaw
         if self._stopped_at is None:
             self._stopped_at = now
-        return Stopped(nonce, self._pid, phase if phase in ("resting", "rested") else "resting")
+        return Stopped(nonce, self._pid, phase if phase in ("stopping", "stopped") else "stopping")
 
     def _part(self, nonce: bytes, part: int, report: Report) -> StatusPart | str:
         if nonce not in self._status:

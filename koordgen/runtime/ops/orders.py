@@ -56,7 +56,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """Answer to Stop: the robot is stopping safely (`phase` is "resting"), or has stopped ("rested")."""
+    """Answer to Stop: the robot is stopping safely (`phase` is "stopping"), or has stopped ("stopped")."""
 
     nonce: bytes
     pid: int

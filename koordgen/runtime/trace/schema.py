@@ -160,7 +160,7 @@ class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
 class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
     """A robot's agent entered a phase, or made progress in its phase."""
 
-    phase: str  # phase of the agent: starting, joining, running, resting, rested
+    phase: str  # phase of the agent: starting, joining, running, stopping, stopped
     detail: str = ""  # cause of the phase, or progress in it, as text for users
     time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
     t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
@@ -332,7 +332,7 @@ class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
     """Violation of a property or of another requirement in a run."""
 
     t: float  # time since the start of round 1 [s]
-    what: str  # kind: separation, collision, ended, fault, unrest, property, idle
+    what: str  # kind: separation, collision, ended, fault, not_stopped, property, idle
     robots: tuple[str, ...]  # names of the robots that took part in the violation
     detail: str  # description for users
     name: str = ""  # name of the violated property, if `what` is "property"

@@ -125,12 +125,12 @@ class Driven:
     def hold(self, on: bool, now: float) -> None:
         self._platform.hold(on, now)
 
-    def rest(self, now: float) -> None:
-        self._platform.rest(now)
+    def stop(self, now: float) -> None:
+        self._platform.stop(now)
 
     @property
-    def rested(self) -> bool:
-        return self._platform.rested
+    def stopped(self) -> bool:
+        return self._platform.stopped
 
     def close(self) -> None:
         self._platform.close()

@@ -70,8 +70,8 @@ class Vitals:
 class Platform(Protocol):
     """Platform of one robot.
 
-    For a check: `diagnose`, then `close`. For a mission: `start`, `poll` until `ready`, rounds, `rest`, `poll` until
-    `rested`, then `close`."""
+    For a check: `diagnose`, then `close`. For a mission: `start`, `poll` until `ready`, rounds, `stop`, `poll` until
+    `stopped`, then `close`."""
 
     period: float  # seconds between two polls of the control loop
 
@@ -142,12 +142,12 @@ class Platform(Protocol):
         ground."""
         ...
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """Begin the safe stop: a quad lands, a car brakes and goes neutral. Idempotent. It cannot be undone."""
         ...
 
     @property
-    def rested(self) -> bool:
+    def stopped(self) -> bool:
         """True as soon as the safe stop is complete."""
         ...
 

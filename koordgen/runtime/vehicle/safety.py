@@ -21,7 +21,7 @@ from koordgen.runtime.vehicle.platform import Sensed
 class Verdict:
     """Reaction that the safety layer requires of the agent, with its reason."""
 
-    action: Literal["go", "hold", "rest"]
+    action: Literal["go", "hold", "stop"]
     reason: str = ""
 
 
@@ -74,14 +74,14 @@ class Guard:
             if age <= self._safety.position_lost:
                 return Verdict("hold", "own position is not finite")
         if age > self._safety.position_lost:
-            return Verdict("rest", f"no own position for {age:.1f} s")
+            return Verdict("stop", f"no own position for {age:.1f} s")
         if position is None or inside(self._fence, position):
             self._outside = None
         elif self._outside is None:
             self._outside = now
         if self._outside is not None and now - self._outside > self._safety.outside_fence and position is not None:
             where = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
-            return Verdict("rest", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
+            return Verdict("stop", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
         if age > self._safety.position_stale:
             return Verdict("hold", f"own position is {age:.1f} s old")
         return GO

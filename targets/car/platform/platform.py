@@ -291,7 +291,7 @@ class Car:
     def _obstacle(self, drive: Drive, now: float) -> str:
         """Return the reason why the car must not drive now, in words; "" if it may drive."""
         if self._stopping_since is not None:
-            return "at rest" if self.rested else "braking to rest"
+            return "at rest" if self.stopped else "braking to rest"
         if drive.blocked:
             return drive.blocked
         if self._estimator.time is None:
@@ -424,12 +424,12 @@ class Car:
     def hold(self, on: bool, now: float) -> None:
         self._holding = on
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         if self._stopping_since is None:
             self._stopping_since = now
 
     @property
-    def rested(self) -> bool:
+    def stopped(self) -> bool:
         """True once the car has stood for STILL seconds, or, with unknown speed, braked for BLIND_BRAKING seconds."""
         since = self._stopping_since
         if since is None:
@@ -440,7 +440,7 @@ class Car:
 
     def close(self) -> None:
         if self._drive is not None:
-            self._drive.close(standing=self.rested or self._still_since is not None)
+            self._drive.close(standing=self.stopped or self._still_since is not None)
         if self._datagrams is not None:
             self._datagrams.close()
         self._drive = self._datagrams = None

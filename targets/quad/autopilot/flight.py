@@ -58,7 +58,7 @@ class Phase(enum.Enum):
     CLIMBING = enum.auto()
     FLYING = enum.auto()
     LANDING = enum.auto()
-    RESTED = enum.auto()
+    STOPPED = enum.auto()
 
 
 class Flight:
@@ -100,7 +100,7 @@ class Flight:
     @property
     def progress(self) -> str:
         """Present activity for the log, with the autopilot's reason if it refuses a command."""
-        if self.phase is Phase.RESTED or self._link.heard is None:
+        if self.phase is Phase.STOPPED or self._link.heard is None:
             return self._doing
         if not self._link.alive(self._now):
             return f"no heartbeat on {self._url}; was {self._doing}"
@@ -116,7 +116,7 @@ class Flight:
             self._telemetry.update(message, now)
             self._review.handle(message)
         self._link.greet(now)
-        if self.phase is not Phase.RESTED:
+        if self.phase is not Phase.STOPPED:
             self._watch(now)
         if self.phase is not Phase.CONNECTING:
             self._streams.poll(self._link, self._firmware, now)
@@ -135,7 +135,7 @@ class Flight:
                 self._fly(now)
             case Phase.LANDING:
                 self._land(now)
-            case Phase.RESTED:
+            case Phase.STOPPED:
                 pass
 
     def _enter(self, phase: Phase, now: float, progress: str) -> None:
@@ -331,7 +331,7 @@ class Flight:
             "the agent sends the vehicle no more commands",
         )
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """Begin to land. Idempotent.
 
         A vehicle that the agent never commanded is not landed, because it may be no copter, or a pilot may fly it.
@@ -339,8 +339,8 @@ class Flight:
         state = self._telemetry
         orphan = state.flying and state.mode == self._firmware.follows and not self._link.crowded(now)
         if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
-            self._enter(Phase.RESTED, now, "nothing was moved")
-        elif self.phase is not Phase.RESTED and self.phase is not Phase.LANDING:
+            self._enter(Phase.STOPPED, now, "nothing was moved")
+        elif self.phase is not Phase.STOPPED and self.phase is not Phase.LANDING:
             self._enter(Phase.LANDING, now, "landing")
 
     def _land(self, now: float) -> None:
@@ -348,13 +348,13 @@ class Flight:
         # An arming command may still be in transit. So only a heartbeat that arrives 1 s or more after the beginning of
         # the landing proves that the vehicle is disarmed.
         if not state.armed and state.mode_time > self._since + 1.0:
-            self._enter(Phase.RESTED, now, "at rest, disarmed")
+            self._enter(Phase.STOPPED, now, "at rest, disarmed")
             return
         ends_itself, lands = self._ends_itself, self._firmware.lands
         if self._landing_seen and not ends_itself:
             self._taken = True
         if self._taken and not ends_itself:
-            self._enter(Phase.RESTED, now, f"left to the pilot or failsafe that switched to {state.mode_name}")
+            self._enter(Phase.STOPPED, now, f"left to the pilot or failsafe that switched to {state.mode_name}")
             return
         if ends_itself:
             self._landing_seen = True

@@ -252,7 +252,7 @@ class Quad:
         """Reason why the quad has no path to the commanded place, in words.
 
         It is "" if the quad has a path, is held, or has landed."""
-        if self._held or self.rested:
+        if self._held or self.stopped:
             return ""
         idle = self._unplanned.why(self._now) if self._motion.reached else ""
         return self._avoidance.refusal or self._motion.stall or idle
@@ -340,12 +340,12 @@ class Quad:
         if self._flight is not None:
             self._flight.grounded = on
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """Make the safe stop: land, away from the positions and paths that other robots have published.
 
         If a pilot or a failsafe has taken over the vehicle, the agent sends it no more commands."""
         if self._flight is not None and not self._moves_aside(now):
-            self._flight.rest(now)
+            self._flight.stop(now)
 
     def _moves_aside(self, now: float) -> bool:
         """Return whether the quad first flies to another landing place, because another robot may be below it."""
@@ -360,11 +360,11 @@ class Quad:
         return place is not None
 
     @property
-    def rested(self) -> bool:
+    def stopped(self) -> bool:
         """True if the quad's part of the mission has ended.
 
         The quad has landed and disarmed, was taken over by a pilot or a failsafe, or was never commanded."""
-        return self._flight is None or self._flight.phase is Phase.RESTED
+        return self._flight is None or self._flight.phase is Phase.STOPPED
 
     def close(self) -> None:
         """Close the links to the robot's devices, and end the planner's process."""

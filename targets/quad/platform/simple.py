@@ -70,7 +70,7 @@ class Phase(enum.Enum):
     CLIMBING = "climbing"
     FLYING = "flying"
     LANDING = "landing"
-    RESTED = "at rest"
+    STOPPED = "at rest"
 
 
 class SimpleMotion(Motion):
@@ -180,7 +180,7 @@ class SimpleQuad(Quad):
                 self._low = None if not low else now if self._low is None else self._low
                 if self._low is not None and now - self._low >= SETTLING:
                     self._flyer.motors(False)
-                    self._phase = Phase.RESTED
+                    self._phase = Phase.STOPPED
 
     @property
     def ready(self) -> bool:
@@ -199,7 +199,7 @@ class SimpleQuad(Quad):
         self._held = on
         self._motion.hold(on, now)
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """Make the safe stop: land, at first moving aside if another robot may be below."""
         if self._moves_aside(now):
             return
@@ -207,12 +207,12 @@ class SimpleQuad(Quad):
             self._phase, self._descent = Phase.LANDING, now
             self._motion.coast(now)
         elif self._phase is Phase.GROUNDED:
-            self._phase = Phase.RESTED
+            self._phase = Phase.STOPPED
 
     @property
-    def rested(self) -> bool:
+    def stopped(self) -> bool:
         """True if the quad's safe stop is complete, or the quad was never started."""
-        return self._phase is Phase.RESTED or not self._started
+        return self._phase is Phase.STOPPED or not self._started
 
     def close(self) -> None:
         """Close the lidar's port, and end the planner's process. A vehicle in the air is not landed."""

@@ -118,7 +118,7 @@ class SimulatedAutopilot:
             return
         guidance = copter.guidance
         if copter.landed:
-            guidance.rest()
+            guidance.idle()
             self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # motors idle on the ground
         elif dt > 0.0:
             acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)

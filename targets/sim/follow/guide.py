@@ -242,7 +242,7 @@ class ReplayPlatform:
         self._guide, self._pid, self._round = guide, pid, round_
         self._types = {p.name: p.type for p in program.ports if p.direction == "sensor"}
         self._answers = {p.name: p.type for p in program.ports if p.direction == "callable"}
-        self.ready, self.rested, self.progress, self.stall = True, False, "", ""
+        self.ready, self.stopped, self.progress, self.stall = True, False, "", ""
 
     def sense(self, now: float) -> Sensed:
         """See Platform."""
@@ -254,9 +254,9 @@ class ReplayPlatform:
         said = self._guide.answer(self._pid, self._round(), port, args)
         return msgspec.json.decode(_encode(said), type=self._answers[port])
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """See Platform."""
-        self.rested = True
+        self.stopped = True
 
     def diagnose(self) -> list[Finding]:
         """See Platform."""

@@ -69,7 +69,7 @@ class Idle:
     def _left(self) -> list[int]:
         """Return the pids of robots that run and have not stopped."""
         agents = self._run.conduct.agents
-        return [a.robot.pid for a in agents if a.alive and a.resting is None and a.robot.pid not in self._stopped]
+        return [a.robot.pid for a in agents if a.alive and a.stopping is None and a.robot.pid not in self._stopped]
 
     def _news(self, pid: int, record: Init | Round) -> bool:
         if record.stopped:

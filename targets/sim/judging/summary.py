@@ -52,7 +52,7 @@ class Warned(msgspec.Struct):
 class RobotSummary(msgspec.Struct):
     """Figures of one robot. Positions (m, local ENU) are the truth.
 
-    `start`: at the beginning of the run. `final`: at the mission's end. `rest`: after landing or braking.
+    `start`: at the beginning of the run. `final`: at the mission's end. `stop`: after landing or braking.
     `path_length`, rounds, events, skips and faults: from round 1 to the mission's end."""
 
     name: str
@@ -60,7 +60,7 @@ class RobotSummary(msgspec.Struct):
     target: str
     start: Vector | None = None
     final: Vector | None = None
-    rest: Vector | None = None
+    stop: Vector | None = None
     path_length: float = 0.0
     rounds: int = 0
     events: dict[str, int] = {}
@@ -203,7 +203,7 @@ class _Tally:
     def pose(self, pose: Pose, ended: bool) -> None:
         own = self.summary
         own.start = own.start or pose.position
-        own.rest = pose.position
+        own.stop = pose.position
         if not ended:
             own.final = pose.position
             if pose.t >= 0 and self._last is not None:
@@ -306,7 +306,7 @@ def told(violation: Violation) -> str:
     host = f"; {violation.host}" if violation.host else ""
     if violation.line:
         return f"{who}: {violation.detail} ({violation.line}){host}"
-    verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
+    verb = " " if violation.what in ("ended", "not_stopped") else f": {violation.what}, "
     return f"{who}{verb}{violation.detail}{host}"
 
 

@@ -120,7 +120,7 @@ class Watcher:
                     self._note_loops(agent.robot.name, record)
                     if record.stopped:
                         self._stopped.add(pid)
-                case Phase(phase="resting") if not agent.told:
+                case Phase(phase="stopping") if not agent.told:
                     self._rests(pid, record.time)
                 case View() if record.number > self._view.number:
                     self._view = record

@@ -347,7 +347,7 @@ class LockstepAgent(AgentHandle):
     def _failed(self, status: int) -> str | None:
         if status == 0:
             return None
-        own = self.resting.detail if self.resting else self.last_error
+        own = self.stopping.detail if self.stopping else self.last_error
         why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
         return f"ended with status {status}: {why[0]}"
 

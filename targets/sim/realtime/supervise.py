@@ -184,11 +184,11 @@ class AgentProcess(AgentHandle):
     def _failed(self, status: int) -> str | None:
         if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
             return None
-        if self.told and status == -signal.SIGTERM and self.phase.phase == "rested":
+        if self.told and status == -signal.SIGTERM and self.phase.phase == "stopped":
             return None  # it was already exiting when it was told to, and Python no longer handled signals
         if status < 0:
             return f"was killed by {signal.Signals(-status).name}"
-        own = self.resting.detail if self.resting else self.last_error
+        own = self.stopping.detail if self.stopping else self.last_error
         why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
         return f"ended with status {status}: {why[0]}"
 

@@ -229,12 +229,12 @@ class Run:
         for agent in self.conduct.agents:
             self._hear(agent)
             name = agent.robot.name
-            if agent.resting and name not in self._left:
+            if agent.stopping and name not in self._left:
                 self._left.add(name)
-                self._progress.say(f"{name} stops safely by itself: {agent.resting.detail}")
+                self._progress.say(f"{name} stops safely by itself: {agent.stopping.detail}")
             failure = agent.failure()
             if failure and name not in self._failed:
-                since = agent.resting.time if agent.resting and not agent.killed else now
+                since = agent.stopping.time if agent.stopping and not agent.killed else now
                 self._failed[name] = (since, failure)
                 self._progress.say(f"{name} {failure}")
         self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.scene.watch, self.conduct.factor)
@@ -259,11 +259,11 @@ class Run:
         deadline = self.conduct.now() + STOP_WITHIN
         hurry = self._interrupts + 1
 
-        def rested(now: float) -> str:
+        def stopped(now: float) -> str:
             over = now >= deadline or self._interrupts >= hurry
             return "yes" if over or not any(agent.alive for agent in self.conduct.agents) else ""
 
-        self._until(rested)
+        self._until(stopped)
         for agent in self.conduct.agents:
             agent.kill()
             while self._hear(agent):
@@ -297,7 +297,7 @@ class Run:
             ended_itself = agent.robot.name not in self._failed and not agent.crashed
             if ended_itself and not self.scene.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
-                marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
+                marks.append(Violation(t(now), "not_stopped", (agent.robot.name,), detail))
         found = watch.closest
         closest = None if len(names) < 2 else Closest(found.distance, t(found.time), found.pids)
         return Outcome(

@@ -34,7 +34,7 @@ class AgentHandle(ABC):
         self.killed = False  # killed by the run, because it did not stop in time
         self.crashed = False  # crashed by `crash` and not restarted yet
         self.phase = Phase("launched")
-        self.resting: Phase | None = None  # the beginning of a safe stop that was not commanded
+        self.stopping: Phase | None = None  # the beginning of a safe stop that was not commanded
         self.round = 0
         self.events = 0
         self.first_fault: Round | None = None
@@ -124,8 +124,8 @@ class AgentHandle(ABC):
         match record:
             case Phase():
                 self.phase = record
-                if record.phase == "resting" and not self.told and self.resting is None:
-                    self.resting = record
+                if record.phase == "stopping" and not self.told and self.stopping is None:
+                    self.stopping = record
             case Round():
                 if self.first_round_start is None:
                     self.first_round_start = record.time - record.late - (record.round - 1) * self._delta

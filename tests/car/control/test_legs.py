@@ -134,7 +134,7 @@ def test_a_car_that_makes_no_progress_says_so_and_holds() -> None:
 
 def test_a_car_that_makes_no_progress_comes_to_rest_where_the_fleet_file_says_so() -> None:
     with pytest.raises(Unready, match="no progress for 8 s"):
-        blocked(missed_action="rest")
+        blocked(missed_action="stop")
 
 
 def test_a_car_that_holds_or_stands_at_its_target_is_not_stalled() -> None:

@@ -139,9 +139,9 @@ def test_a_rover_drives_to_a_point_and_is_disarmed_at_the_end(position: str) -> 
     world.run(10.0)
     assert world.value("reached") is True and standing(world), world.car.progress
     assert world.distance(3.0, 1.0) < 0.12
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     world.run(1.0)
-    assert world.car.rested
+    assert world.car.stopped
     world.car.close()
     world.physics(0.1)
     assert not world.rover.armed
@@ -164,7 +164,7 @@ def test_neutral_goes_out_at_20_hz_whenever_it_is_braked() -> None:
     world.go(4.0, 0.0)
     world.run(2.0)
     assert max(throttle for _, throttle in world.overrides()) > 1600
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     world.run(1.0)
     assert world.overrides() == [(1500, 1500)] * 20 and standing(world)
 

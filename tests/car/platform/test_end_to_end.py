@@ -98,7 +98,7 @@ def test_a_mission_over_the_real_links(bench: Bench) -> None:
     assert abs(bench.body.truth.speed) > 0.3
     bench.car.rest(bench.now)
     bench.run(1.5)
-    assert bench.car.rested and abs(bench.body.truth.speed) < 0.01
+    assert bench.car.stopped and abs(bench.body.truth.speed) < 0.01
 
 
 def test_an_agent_that_dies_leaves_a_car_that_stops(bench: Bench) -> None:

@@ -80,9 +80,9 @@ def test_a_lidar_that_never_speaks_ends_the_wait_and_lets_it_come_to_rest(world:
     world.car.start(world.now)
     with pytest.raises(Unready, match="waiting for scans"):
         world.run(PATIENCE + 1.0)
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     world.run(1.0)
-    assert world.car.rested
+    assert world.car.stopped
 
 
 def test_diagnosis_tells_of_scans(world: World, lidar: Lidar) -> None:

@@ -41,8 +41,8 @@ def test_it_takes_off_and_reaches_a_target(mode: str) -> None:
     assert rig.run(20.0, rig.reached)
     assert sum(errors) / len(errors) < 0.05
     assert distance(at(rig), Point(-2.0, 1.0, 1.5)) < 0.2
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested) and rig.body.position[2] == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped) and rig.body.position[2] == 0.0
 
 
 @pytest.mark.parametrize("ground", [0.3, -0.25])
@@ -162,8 +162,8 @@ def test_silence_in_flight_holds_within_half_a_second_and_then_lands(mode: str) 
         rig.run(3.0)
     assert told.value.hint and rig.now - silent == pytest.approx(Safety().position_lost, abs=0.1)
     assert not sent(rig, NUMBERS[mode])[-1:] or rig.now - silent > STALE
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested) and rig.body.position[2] == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped) and rig.body.position[2] == 0.0
 
 
 def test_nothing_old_is_passed_on() -> None:
@@ -202,8 +202,8 @@ def test_a_jump_in_flight_is_refused_and_lands(mode: str, jump: Point) -> None:
     assert told.value.hint and JUMPED <= rig.now - jumped < JUMPED + 0.2
     assert len(sent(rig, NUMBERS[mode])) - before <= 2, "none of them was passed on"
     assert distance(at(rig), place) < 0.2 and "the position source jumped" in rig.quad.progress
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped)
 
 
 def test_single_jumps_are_refused_and_do_no_harm() -> None:
@@ -298,9 +298,9 @@ def test_no_take_off_without_a_feed_and_after_a_minute_it_is_given_up() -> None:
     rig.cable.waiting.append(sample(1, 0.0, Pose(), key=bytes(32)))
     with pytest.raises(Unready, match=r"no position has arrived on .* dropped: 1 not authentic"):
         rig.run(PATIENCE)
-    rig.quad.rest(rig.now)
+    rig.quad.stop(rig.now)
     rig.run(1.0)
-    assert rig.quad.rested
+    assert rig.quad.stopped
 
 
 def test_no_take_off_where_estimate_and_source_differ() -> None:
@@ -337,13 +337,13 @@ def test_a_feed_that_ends_while_climbing_lands_at_once(mode: str) -> None:
 def test_landing_goes_on_with_the_feed_and_without() -> None:
     rig = FedRig("vision")
     rig.fly()
-    rig.quad.rest(rig.now)
+    rig.quad.stop(rig.now)
     rig.run(0.5)
     rig.wire.up.clear()
     rig.run(0.5)
     assert len(sent(rig, NUMBERS["vision"])) >= 8
     rig.station = None
-    assert rig.run(20.0, lambda: rig.quad.rested)
+    assert rig.run(20.0, lambda: rig.quad.stopped)
 
 
 def test_the_doctor_tells_of_the_feed_and_passes_it_on() -> None:

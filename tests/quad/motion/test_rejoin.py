@@ -208,7 +208,7 @@ def test_a_vehicle_that_makes_no_progress_says_so_and_holds() -> None:
 
 
 def test_a_vehicle_that_makes_no_progress_lands_where_the_fleet_file_says_rest() -> None:
-    flight = stalled(missed_action="rest")
+    flight = stalled(missed_action="stop")
     with pytest.raises(Unready, match="no progress for 8 s"):
         flight.rig.run(3 * NO_PROGRESS)
 

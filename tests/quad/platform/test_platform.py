@@ -42,9 +42,9 @@ def test_a_whole_life() -> None:
     assert rig.run(15.0, rig.reached)
     assert distance(at(rig), Point(-4.0, -3.0, 2.5)) < 0.2
 
-    rig.quad.rest(rig.now)
-    rig.quad.rest(rig.now)
-    assert rig.run(15.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    rig.quad.stop(rig.now)
+    assert rig.run(15.0, lambda: rig.quad.stopped)
     assert rig.autopilot is not None and not rig.autopilot.copter.armed and at(rig).z == 0.0
     rig.quad.close()
     rig.quad.close()
@@ -152,8 +152,8 @@ def test_a_landing_that_never_disarms_is_ended_on_the_ground() -> None:
     disarmed_at: list[float] = []
     copter = rig.autopilot.copter
     rig.watch = lambda: None if copter.armed else disarmed_at.append(rig.body.position[2])
-    rig.quad.rest(rig.now)
-    assert rig.run(25.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(25.0, lambda: rig.quad.stopped)
     assert disarmed_at[0] == 0.0 and any("still armed" in said for said in rig.progress)
 
 
@@ -273,10 +273,10 @@ def test_a_vehicle_that_does_not_follow_is_noticed_also_in_motion() -> None:
 def landed(rig: Rig) -> Point:
     """End the run. Where the quad stands then."""
     for _ in range(60):
-        rig.quad.rest(rig.now)
-        if rig.run(0.5, lambda: rig.quad.rested):
+        rig.quad.stop(rig.now)
+        if rig.run(0.5, lambda: rig.quad.stopped):
             break
-    assert rig.quad.rested
+    assert rig.quad.stopped
     return at(rig)
 
 

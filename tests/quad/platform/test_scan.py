@@ -67,8 +67,8 @@ def test_a_lidar_that_never_speaks_ends_the_wait_and_lets_it_land(rig: Rig) -> N
     rig.quad.start(rig.now)
     with pytest.raises(Unready, match="waiting for scans"):
         rig.run(PATIENCE + 1.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(30.0, lambda: rig.quad.rested), rig.progress
+    rig.quad.stop(rig.now)
+    assert rig.run(30.0, lambda: rig.quad.stopped), rig.progress
     assert rig.body.position[2] < 0.1
 
 

@@ -165,7 +165,7 @@ def test_actions() -> None:
     assert robot.demands() == "go", "it goes on when its own part is right again"
     robot.look(4, x=(2, 1, 1))
     robot.look(5)
-    assert robot.demands() == "rest", "for good"
+    assert robot.demands() == "stop", "for good"
     assert "invariant Bounded (a.koord:18) is violated" in robot.monitors.verdict.reason
 
 
@@ -216,7 +216,7 @@ def test_a_broken_contract_is_told_until_its_event_runs_through() -> None:
     assert (found.of, found.name, found.line, found.outcome, found.action) == (
         "requires", "plan", "a.koord:3", "violated", "stop"
     )  # fmt: skip
-    assert "a.koord:12" in found.why and robot.demands() == "rest"
+    assert "a.koord:12" in found.why and robot.demands() == "stop"
     robot.monitors.hear(record(3, Point(), **moved(Point())))
     assert [c.outcome for c in robot.changes if c.of == "requires"] == ["violated", "held"]
 

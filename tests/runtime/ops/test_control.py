@@ -95,10 +95,10 @@ def test_ask_offer_stop_stopped() -> None:
     assert isinstance(offer, Offer)
     assert (offer.nonce, offer.pid, offer.robot) == (NONCE, 1, "bert")
     assert not robot.poll(), "asking stops nobody"
-    assert robot.ask(Stop(NONCE, offer.challenge)) == [Stopped(NONCE, 1, "resting")]
+    assert robot.ask(Stop(NONCE, offer.challenge)) == [Stopped(NONCE, 1, "stopping")]
     assert robot.poll()
-    robot.phase = "rested"
-    assert robot.ask(Stop(NONCE, offer.challenge)) == [Stopped(NONCE, 1, "rested")], "the answer may have been lost"
+    robot.phase = "stopped"
+    assert robot.ask(Stop(NONCE, offer.challenge)) == [Stopped(NONCE, 1, "stopped")], "the answer may have been lost"
     assert robot.control.rejected == {}
 
 
@@ -143,7 +143,7 @@ def test_another_robots_challenge_is_not_ours() -> None:
         (encode(AskStatus(0, NONCE, bytes(24), 0), KEY), "not our challenge"),
         (seal(KEY, CONTROL, b"\1\4\0\0" + NONCE + bytes(LONG - 28)), "malformed"),
         (encode(Offer(NONCE, 1, bytes(24), "bert"), KEY), "an answer to nobody"),
-        (encode(Stopped(NONCE, 1, "resting"), KEY), "an answer to nobody"),
+        (encode(Stopped(NONCE, 1, "stopping"), KEY), "an answer to nobody"),
         (encode(Stop(NONCE, bytes(24)), KEY), "not our challenge"),
         (seal(KEY, MEMORY, encode(Ask(0, NONCE), KEY)[:-16]), "not authentic"),
         (seal(KEY, CONTROL, b"\1\0\0\0" + NONCE), "malformed"),
@@ -167,7 +167,7 @@ def test_what_is_not_listened_to(datagram: bytes, reason: str) -> None:
         Ask(65535, NONCE),
         Offer(NONCE, 127, bytes(range(24)), "a" * 32),
         Stop(NONCE, bytes(24)),
-        Stopped(NONCE, 0, "rested"),
+        Stopped(NONCE, 0, "stopped"),
         AskStatus(1, NONCE, bytes(range(24)), 3),
         StatusPart(NONCE, 0, 1, b"{}\0\0"),
         StatusPart(NONCE, 65535, 65535, b"x" * 1170),
@@ -274,14 +274,14 @@ def test_an_agent_that_began_anew_amid_the_call_is_stopped_too() -> None:
         for answer in new.wires.answers:
             stopping.receive(answer, now)
         now += 0.01
-    assert stopping.phase == "resting" and new.poll()
+    assert stopping.phase == "stopping" and new.poll()
 
 
 def test_the_caller_believes_no_recorded_answer() -> None:
     stopping = Stopping(0, KEY, NONCE)
     for order, key in (
-        (Stopped(b"nonce-00", 1, "resting"), KEY),
-        (Stopped(NONCE, 1, "resting"), OTHER),
+        (Stopped(b"nonce-00", 1, "stopping"), KEY),
+        (Stopped(NONCE, 1, "stopping"), OTHER),
         (Offer(b"nonce-00", 1, bytes(24), "bert"), KEY),
     ):
         assert not stopping.receive(encode(order, key), 0.0)

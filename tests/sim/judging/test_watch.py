@@ -133,7 +133,7 @@ def test_a_robot_that_dies_has_left_the_model(tmp_path: Path) -> None:
 def test_a_fleet_that_has_stopped_has_not_left_the_model(tmp_path: Path) -> None:
     text = WHOLE + "invariant Never: sum >= 0\nDone:\n  pre: True\n  eff: stop\n"
     watched = Watched(tmp_path, text.replace("pid == 1 and N_SYS > 2", "False")).run(8.0)
-    assert all(robot.agent.phase == "rested" for robot in watched.fleet.robots.values())
+    assert all(robot.agent.phase == "stopped" for robot in watched.fleet.robots.values())
     assert {v.outcome for v in watched.end().values()} == {"held"}
 
 

@@ -59,7 +59,7 @@ class Agent:
     robot: Any
     told: bool = False
     alive: bool = True
-    resting: Phase | None = None
+    stopping: Phase | None = None
     read: int = 0
 
 
@@ -137,8 +137,8 @@ class Watched:
         for record in records:
             if isinstance(record, Round) and self.run_.zero is None:
                 self.run_.zero = record.time - record.late - (record.round - 1) * self.fleet.delta
-            if isinstance(record, Phase) and record.phase == "resting" and not agent.told:
-                agent.resting = record
+            if isinstance(record, Phase) and record.phase == "stopping" and not agent.told:
+                agent.stopping = record
         agent.alive = agent.alive and not self.fleet.robots[agent.robot.pid].agent.done
 
     def end(self) -> dict[str, Verdict]:

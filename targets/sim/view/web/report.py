@@ -38,7 +38,7 @@ FEW = 5  # longest list that is shown unfolded
 GREEN, RED, AMBER = "#1B7F4B", "#B00020", "#8A5A00"
 COLOURS = {"held": GREEN, "violated": RED, "host overloaded": AMBER, "interrupted": AMBER, "not started": RED}
 CLASSES = {"held": "good", "violated": "bad", "no value": "bad", "unchecked": "warn", "out of model": "warn"}
-BAD = {"error", "fault", "separation", "collision", "ended", "unrest", "property", "idle"}
+BAD = {"error", "fault", "separation", "collision", "ended", "not_stopped", "property", "idle"}
 
 
 def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[float, str, str, str]]:
