@@ -101,7 +101,7 @@ class Still:
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def hold(self, on: bool, now: float) -> None: ...

@@ -27,7 +27,7 @@ from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped,
 
 BY_HAND = "stop these robots by hand now: by remote control, by kill switch, or by cutting their power"
 NO_ANSWER = "no answer"
-PATIENCE = 3.0  # seconds for which all robots are called before those without an answer are reported
+ANSWER_TIMEOUT = 3.0  # seconds for which all robots are called before those without an answer are reported
 
 # Seconds without an answer to the stop before a new challenge is requested, because the agent may have restarted.
 STALE_OFFER = 0.3
@@ -296,7 +296,7 @@ def stop_fleet(
     known = {(place.host, place.port) for place in places}
     places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
     key = find_key(fleet, path, key_path, warn)
-    return stop_all(places, fleet.application if application is None else application, key, PATIENCE)
+    return stop_all(places, fleet.application if application is None else application, key, ANSWER_TIMEOUT)
 
 
 def show(results: list[Called], form: str) -> str:

@@ -22,7 +22,7 @@ from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
 from koordgen.runtime.ops.status import Asking
 
-PATIENCE = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
+ANSWER_TIMEOUT = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
 _REPEAT = 0.05  # seconds between two requests to one robot
 _COLUMNS = (
     "robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "battery", "disk", "temp", "notes",
@@ -46,7 +46,7 @@ class Asked(Node):
     host: Installed | None = None
 
 
-def ask_all(fleet: Fleet, key: bytes | None, timeout: float = PATIENCE) -> list[Asked]:
+def ask_all(fleet: Fleet, key: bytes | None, timeout: float = ANSWER_TIMEOUT) -> list[Asked]:
     """Ask all robots in parallel for at most `timeout` seconds.
 
     Return the answers in the order of the fleet file.
@@ -107,7 +107,7 @@ def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
     """
     while (left := until - time.monotonic()) > 0:
         asker.settimeout(left)
-        if asking.take(asker.recv(LONG + 1)):
+        if asking.receive(asker.recv(LONG + 1)):
             return
 
 

@@ -22,7 +22,7 @@ from koordgen.operate.release import digest_of
 from koordgen.runtime.ops.host import pip_install, requirement_for
 
 PIP = "pip"  # pip's wheel installs the packages on a host, because Debian's own Python has no ensurepip
-PATIENCE = 900.0  # time limit for one download, in seconds
+DOWNLOAD_TIMEOUT = 900.0  # time limit for one download, in seconds
 _OLDEST_GLIBC = 17  # minor version of glibc 2 that manylinux2014 requires
 _PYTHONS = range(10, 15)  # minor versions of Python 3 on which agents run
 _WIDE = ("x86_64", "aarch64", "riscv64", "ppc64le", "s390x", "loongarch64", "amd64", "arm64")
@@ -166,9 +166,9 @@ def _download(lines: list[str], platform: WheelPlatform, folder: Path | None, ke
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=DOWNLOAD_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
-        message = f"the package index did not deliver the wheels within {PATIENCE:g} s"
+        message = f"the package index did not deliver the wheels within {DOWNLOAD_TIMEOUT:g} s"
         raise CannotFetch(message, "connect this computer to the internet, or set `deploy: {wheels: FOLDER}`") from None
 
 

@@ -55,7 +55,7 @@ class Planning(Protocol):
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         """Return the planned path. Return () if there is no path, or the planner is late or not running.
 
-        `news` gives the reason."""
+        `log_lines` gives the reason."""
         ...
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
@@ -68,7 +68,7 @@ class Planning(Protocol):
         """Return the last answer to `ask` or `plan`, once; None if there is no new answer."""
         ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return problems since the last call, for the log."""
         ...
 
@@ -121,7 +121,7 @@ class Inside:
         self._name, self._world, self._budget, self._judge = name, world, budget, judge
         self._asked: Judge | None = None
         self._answer: Answer | None = None
-        self._news = PlannerLog()
+        self._log = PlannerLog()
         self.ready = self.waiting = False
 
     def start(self) -> None:
@@ -137,7 +137,7 @@ class Inside:
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         if not self.ask(start, goal, scene, more, SHARE * self._budget) or self._answer is None:
             return ()
-        self._news.called(self._answer.reason)
+        self._log.called(self._answer.reason)
         return self._answer.path
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
@@ -150,8 +150,8 @@ class Inside:
         told, self._answer = self._answer, None
         return told
 
-    def news(self) -> list[str]:
-        return self._news.drain()
+    def log_lines(self) -> list[str]:
+        return self._log.drain()
 
     def close(self) -> None:
         self.ready = False
@@ -192,7 +192,7 @@ class Beside:
         self._number = 0
         self._asked_at: float | None = None  # time at which the pending question was sent; None if there is none
         self._answer: Answer | None = None
-        self._news = PlannerLog()
+        self._log = PlannerLog()
         self.ready = False
 
     @property
@@ -246,7 +246,7 @@ class Beside:
         deadline = self._clock() + self._budget
         try:
             if not self.ask(start, goal, scene, more, SHARE * self._budget):
-                self._news.called("the planner is " + ("still at the last question" if self.ready else "not running"))
+                self._log.called("the planner is " + ("still at the last question" if self.ready else "not running"))
                 return ()
             while self._unanswered() and (left := deadline - self._clock()) > 0:
                 select.select([self._from], [self._into] if self._outgoing else [], [], left)
@@ -276,18 +276,18 @@ class Beside:
     def _judged(self, answer: Answer | None, start: Point, goal: Point) -> Path:
         if answer is None:
             if self._child is not None:
-                self._news.called(f"the planner did not answer within {self._budget * 1e3:.0f} ms")
+                self._log.called(f"the planner did not answer within {self._budget * 1e3:.0f} ms")
             return ()
         path = answer.path
         if path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
-            self._news.called("the planner's answer is no path from the start to the goal")
+            self._log.called("the planner's answer is no path from the start to the goal")
             return ()
-        self._news.called(answer.reason)
+        self._log.called(answer.reason)
         return path
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on failed calls and on lost children since the last call."""
-        return self._news.drain()
+        return self._log.drain()
 
     def close(self) -> None:
         """End the child process. Idempotent."""
@@ -342,7 +342,7 @@ class Beside:
         self._end()
         if not self._made:
             raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
-        self._news.add(f"the planner {why}; it is started again")
+        self._log.add(f"the planner {why}; it is started again")
 
     def _end(self) -> None:
         self.ready, self._asked_at, self._outgoing = False, None, b""

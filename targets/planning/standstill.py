@@ -26,7 +26,7 @@ class Standstill:
         self._action = action
         self._moved: tuple[Point, float] | None = None  # place and time of the last motion or command
         self._last: Point | None = None  # place of the last standstill
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self.holding = ""
 
     def command(self) -> None:
@@ -50,15 +50,15 @@ class Standstill:
         if self._action == "stop":
             raise Unready(line, "check what blocks the vehicle, which stops because missed_action is stop")
         if not again:
-            self._news.append(f"{line}: braking, and looking for another path")
+            self._log_lines.append(f"{line}: braking, and looking for another path")
         else:
             self.holding = f"{line}, twice: holding until the next command"
-            self._news.append(self.holding)
+            self._log_lines.append(self.holding)
         return True
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on standstills since the last call."""
-        said, self._news = self._news, []
+        said, self._log_lines = self._log_lines, []
         return said
 
 

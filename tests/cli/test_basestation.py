@@ -75,9 +75,9 @@ def test_each_robot_gets_its_own_pose() -> None:
     sent = forwarder(mocap=mocap).frame({"alice": body(1.0), "bert": body(2.0)}, 99.99, 100.0)
     for name, x in (("alice", 1.0), ("bert", 2.0)):
         feed = Feed(name, KEY)
-        assert feed.take(sent[name], 50.0) and feed.pose is not None and feed.time == pytest.approx(49.99)
+        assert feed.receive(sent[name], 50.0) and feed.pose is not None and feed.time == pytest.approx(49.99)
         assert (feed.pose.position.x, feed.pose.position.z, feed.pose.yaw) == (x, 1.0, 0.0)
-    assert not Feed("alice", KEY).take(sent["bert"], 50.0)
+    assert not Feed("alice", KEY).receive(sent["bert"], 50.0)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_not_more_often_than_asked_for_and_no_less(cameras: int, rate: float, ex
     for i in range(cameras * 4):
         now = 100.0 + i / cameras
         for datagram in passed.frame({"alice": body(i * 1e-3)}, now, now).values():
-            taken += feed.take(datagram, now)
+            taken += feed.receive(datagram, now)
     assert taken / 4 == pytest.approx(expected, rel=0.05)
 
 
@@ -195,7 +195,7 @@ def test_from_the_system_to_the_robot(tmp_path: Path, monkeypatch: pytest.Monkey
     robot.setblocking(False)
     while True:
         try:
-            taken += feed.take(robot.recv(2048), time.monotonic())
+            taken += feed.receive(robot.recv(2048), time.monotonic())
         except BlockingIOError:
             break
     assert 20 < taken <= 60 and feed.rejected == {}
@@ -310,4 +310,4 @@ def test_a_folder_that_keeps_no_session_stops_no_base_station(tmp_path: Path) ->
 def test_samples_carry_the_application_id() -> None:
     passed = Forwarder(("alice",), Mocap(), KEY, 1, 50.0, 7)
     feed = Feed("alice", KEY, 7)
-    assert feed.take(passed.frame({"alice": body(1.0)}, 3.0, 3.0)["alice"], 10.0)
+    assert feed.receive(passed.frame({"alice": body(1.0)}, 3.0, 3.0)["alice"], 10.0)

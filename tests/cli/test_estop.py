@@ -142,7 +142,7 @@ def test_what_people_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Two robots answer, one does not."""
-    monkeypatch.setattr(estop, "PATIENCE", 0.6)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.6)
     for folder in bundles[:2]:
         start(folder, started)
     wait_for(bundles[:2], "joining")
@@ -161,7 +161,7 @@ def test_another_key_stops_nobody(
     bundles: list[Path], fleet: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(estop, "PATIENCE", 0.3)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.3)
     start(bundles[0], started)
     wait_for(bundles[:1], "joining")
     other = fleet.parent / "other.key"
@@ -313,7 +313,7 @@ def test_a_host_that_nobody_knows_keeps_nobody_waiting(
 def test_it_needs_no_package_beside_yaml_and_waits_for_no_compiler(fleet: Path, tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules.update(dict.fromkeys(['msgspec', 'numpy', 'jinja2']))\n"
-        "from koordgen.operate import estop; estop.PATIENCE = 0.05\n"
+        "from koordgen.operate import estop; estop.ANSWER_TIMEOUT = 0.05\n"
         "from koordgen.cli import main; sys.exit(main(['estop', sys.argv[1]]))"
     )
     cache = tmp_path / "cache"

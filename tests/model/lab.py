@@ -18,7 +18,7 @@ from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.wire import Decided, Entry, Head, Message, RoundMessage, View
 from koordgen.runtime.program.program import Effects, Life, Variable
-from koordgen.runtime.program.runner import Outcome
+from koordgen.runtime.program.runner import EventResult
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.messages import HardState, Vote
 from koordgen.runtime.replication.replica import Replica
@@ -106,10 +106,10 @@ class Program:
     def frame(self, shared: Mapping[str, Any], *_: object) -> Any:
         return SimpleNamespace(shared=shared, sensors={})
 
-    def step(self, frame: Any, deadline: float) -> Outcome:
+    def step(self, frame: Any, deadline: float) -> EventResult:
         wish = self._wish()
         if not wish:
-            return Outcome()
+            return EventResult()
         number, wins, atomic = self.locals["events"] + 1, self.locals["wins"], wish == "atomic"
         shared = {"mine": number}
         if atomic:
@@ -117,7 +117,7 @@ class Program:
             shared |= {"wins": wins, "count": frame.shared["count"] + 1}
         actuators = {} if wish == "quiet" else {"out": number}
         effects = Effects({"events": number, "wins": wins}, shared, actuators, False)
-        return Outcome(wish, effects, lock=0 if atomic else -1)
+        return EventResult(wish, effects, lock=0 if atomic else -1)
 
 
 class Body:

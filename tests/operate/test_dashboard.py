@@ -129,7 +129,7 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
     assert EVERY + WITHIN + TICK < 1.0, "seconds from a report until the next one is shown, at most"
     with StandIns(tmp_path, 20) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
-        poller = Poller(found, KEY, lambda pid, asked: board.take(pid, asked.report, asked.note))
+        poller = Poller(found, KEY, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
         board = Dashboard(first_header([(place.name, "") for place in found.places], {}), lambda: poller.odd)
         client = board.hub.join()
         assert client is not None
@@ -153,7 +153,7 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
 def test_the_same_goes_to_foxglove(tmp_path: Path) -> None:
     with StandIns(tmp_path, 2) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
-        poller = Poller(found, KEY, lambda pid, asked: board.take(pid, asked.report, asked.note))
+        poller = Poller(found, KEY, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
         header = first_header([(place.name, "quad") for place in found.places], {})
         server = FoxgloveServer(header, 0)
         board = Dashboard(header, lambda: poller.odd, server)

@@ -15,7 +15,7 @@ from koordgen.cli.base import console
 from koordgen.lang import resources
 from koordgen.operate.dashboard import Facts, Poller, built_facts
 from koordgen.operate.dashboard_access import Refused, access
-from koordgen.operate.estop import PATIENCE, CannotStop, Fleet, find_fleet, find_key, show, stop_all
+from koordgen.operate.estop import ANSWER_TIMEOUT, CannotStop, Fleet, find_fleet, find_key, show, stop_all
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def dashboard(options: Namespace) -> int:
     targets = facts.plain.get("targets", {})
     names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
     plain = {name: value for name, value in facts.plain.items() if name != "targets"}
-    poller = Poller(facts.fleet, key, lambda pid, asked: board.take(pid, asked.report, asked.note))
+    poller = Poller(facts.fleet, key, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
     header = first_header(names, plain)
     board = Dashboard(
         header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
@@ -109,7 +109,7 @@ def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]
     """Return a function that stops the fleet and prints the result on this terminal."""
 
     def stop() -> list[dict[str, Any]]:
-        results = stop_all(fleet.places, fleet.application, key, PATIENCE)
+        results = stop_all(fleet.places, fleet.application, key, ANSWER_TIMEOUT)
         console.notify(f"emergency stop from the dashboard\n{show(results, 'text')}")
         robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
         return robots

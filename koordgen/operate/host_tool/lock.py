@@ -17,7 +17,7 @@ from typing import Any
 
 from .folder import Folder, ToolError, read_json, write_json
 
-_PATIENCE = 60.0  # longest wait for another process to leave the critical section, in seconds
+_LOCK_TIMEOUT = 60.0  # longest wait for another process to leave the critical section, in seconds
 _PROBED = 0.3  # seconds to retry a lock; `is_locked` of another process may hold the lock for some microseconds
 
 
@@ -63,9 +63,11 @@ def is_locked(path: Path) -> bool:
 @contextmanager
 def deciding(folder: Folder) -> Iterator[None]:
     """Critical section for changes of `deployment.json` and starts of agents. Raises ToolError "busy"."""
-    file = try_lock(folder.deployment_lock, _PATIENCE)
+    file = try_lock(folder.deployment_lock, _LOCK_TIMEOUT)
     if file is None:
-        raise ToolError("busy", f"another process has worked in {folder.root} for {_PATIENCE:.0f} s", "try again later")
+        raise ToolError(
+            "busy", f"another process has worked in {folder.root} for {_LOCK_TIMEOUT:.0f} s", "try again later"
+        )
     try:
         yield
     finally:

@@ -299,7 +299,7 @@ class Agent:
             self._platform.stop(now)
         self._platform.poll(now)
         self._served, self._failures = now, 0
-        for line in self._platform.news():
+        for line in self._platform.log_lines():
             self._journal.warn(line)
         match self.phase:
             case "starting":
@@ -432,7 +432,7 @@ class Agent:
 
     def _write_records(self) -> None:
         """Write the records of committed rounds to the trace. Called while no urgent work is expected."""
-        self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
+        self._journal.write_pending(self.counters() if self._journal.traces else {}, self._link.rejected)
         if self._driver is not None and (state := self._driver.replica.state) is not None:
             self.metrics.held(state.held)
 

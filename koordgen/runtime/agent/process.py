@@ -39,7 +39,7 @@ from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.doctor import PlatformType, examine
-from koordgen.runtime.ops.findings import tell, tell_shortly
+from koordgen.runtime.ops.findings import print_briefly, print_checks
 from koordgen.runtime.ops.host import temperature
 from koordgen.runtime.ops.notify import Notifier
 from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
@@ -91,7 +91,11 @@ def main(
         if arguments.check or arguments.doctor:
             examined = examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)
             with closing(examined):
-                return tell(program.name, examined, arguments.format) if arguments.doctor else tell_shortly(examined)
+                return (
+                    print_checks(program.name, examined, arguments.format)
+                    if arguments.doctor
+                    else print_briefly(examined)
+                )
         settings = open_settings(root, arguments.settings, arguments.pid)
         key = open_key(settings)
         if key is None:

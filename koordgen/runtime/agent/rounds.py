@@ -28,7 +28,7 @@ from koordgen.runtime.program.runner import (
     NOT_CURRENT,
     STOPPED,
     WOKE_LATE,
-    Outcome,
+    EventResult,
     Runner,
 )
 from koordgen.runtime.replication.driver import Driver
@@ -353,7 +353,7 @@ class Rounds:
     def _named(self, pids: list[int]) -> str:
         return ", ".join(self._names[p] for p in pids)
 
-    def _finish(self, result: Outcome, frame: Frame, now: float, into: float) -> None:
+    def _finish(self, result: EventResult, frame: Frame, now: float, into: float) -> None:
         """Close a round after its event. The entry is urgent, so it is sent before the record is made."""
         fault, effects = result.fault, result.effects
         self._body.hold(FAULT, fault is not None, now)

@@ -46,7 +46,7 @@ BUDGET = 0.1  # largest duration of the evaluation of all properties in a round,
 MOST_OVERRUNS = 3  # a property that exceeds the largest duration more often is switched off
 LOOPS = "loop invariants"  # name in the settings that stands for all loop invariants
 
-Tell = Callable[[Change], None]
+Report = Callable[[Change], None]
 
 
 class Monitors:
@@ -58,13 +58,13 @@ class Monitors:
     the CPU budget allows, the least recently evaluated property first. `cpu`: clock of the CPU time."""
 
     def __init__(
-        self, found: Properties | None, settings: Settings, tell: Tell, limit: Limit, cpu: Cpu | None = None
+        self, found: Properties | None, settings: Settings, report: Report, limit: Limit, cpu: Cpu | None = None
     ) -> None:
         self.verdict = GO
         self._pid, self._names = settings.pid, tuple(p.name for p in settings.peers)
-        self._delta, self._patience = settings.delta, settings.safety.peer_timeout
+        self._delta, self._stale_after = settings.delta, settings.safety.peer_timeout
         self._actions = settings.monitors
-        self._tell, self._limit, self._cpu = tell, limit, cpu
+        self._report, self._limit, self._cpu = report, limit, cpu
         self._round = 0
         self._invariants: list[MonitoredProperty] = []
         self._assumptions: list[MonitoredProperty] = []
@@ -127,56 +127,56 @@ class Monitors:
         """True if a property needs observations of rounds."""
         return bool(self._invariants or self._assumptions)
 
-    def look(self, moment: Observation | None) -> None:
+    def look(self, observation: Observation | None) -> None:
         """Evaluate the invariants on the observation of the present round. Repeated calls in a round do nothing.
 
         An exception is an internal error. It switches all invariants off and is raised again."""
-        if moment is None or moment.round == self._round:
+        if observation is None or observation.round == self._round:
             return
-        self._round = moment.round
+        self._round = observation.round
         if self._invariants:
             try:
-                self._look(moment)
+                self._look(observation)
             except Exception:
                 self._invariants = []
                 raise
 
-    def _look(self, moment: Observation) -> None:
+    def _look(self, observation: Observation) -> None:
         if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
             return
-        changed = self._put(moment)
-        old = moment.age(self._delta)
+        changed = self._put(observation)
+        old = observation.age(self._delta)
         due = []
         for watched in self._invariants:
             watched.due = watched.due or not changed.isdisjoint(watched.reads)
-            if watched.needs > moment.certain:
-                self._wait(watched, moment)
+            if watched.needs > observation.certain:
+                self._wait(watched, observation)
             elif watched.due:
                 due.append(watched)
             else:  # all values that the property reads are unchanged, so its verdict is confirmed
-                watched.true = moment.round - (old if watched.senses else 0)
+                watched.true = observation.round - (old if watched.senses else 0)
         if due:
-            self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
+            self._judge(due, self._known, self._invariant_time, observation.time, observation.round, old)
         self._invariant_time.end()
 
     def _is_urgent(self, asked: list[MonitoredProperty]) -> bool:
         """Return whether at least one of the properties must be evaluated even without CPU budget."""
         return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
 
-    def _wait(self, watched: MonitoredProperty, moment: Observation) -> None:
+    def _wait(self, watched: MonitoredProperty, observation: Observation) -> None:
         """Set the verdict of a property to unknown if the values that it reads are uncommitted for too long."""
-        age = moment.round - watched.true
-        if age > self._patience and watched.outcome not in (None, "unknown"):
+        age = observation.round - watched.true
+        if age > self._stale_after and watched.outcome not in (None, "unknown"):
             watched.due = True
-            self._become(watched, "unknown", f"the values it reads are {age} rounds old", moment.time, stale=True)
+            self._become(watched, "unknown", f"the values it reads are {age} rounds old", observation.time, stale=True)
 
-    def _put(self, moment: Observation) -> set[str]:
+    def _put(self, observation: Observation) -> set[str]:
         """Update the known values. Return the names of the changed values; a new object counts as a change."""
         known, values, changed = self._known, self._values, set()
         for name, place in self._reading:
-            if place > moment.certain:
+            if place > observation.certain:
                 continue
-            value = moment.value(name, place)
+            value = observation.value(name, place)
             if value is values.get(name):
                 continue
             values[name] = value
@@ -265,7 +265,7 @@ class Monitors:
                     self._become(watched, "held", f"{record.event or 'every guard'} ran through again", record.time)
 
     def _judge(
-        self, due: list[MonitoredProperty], known: Known, allowance: CpuBudget, time: float, round_: int, old: int
+        self, due: list[MonitoredProperty], known: Known, budget: CpuBudget, time: float, round_: int, old: int
     ) -> None:
         """Evaluate properties within the time limit of a round, and within the CPU budget if they are only logged.
 
@@ -276,7 +276,7 @@ class Monitors:
             with self._limit(BUDGET * self._delta):
                 for watched in sorted(due, key=_urgency):
                     patient = watched.action == "log" and round_ - watched.true < LONGEST_WAIT
-                    if patient and allowance.spent:
+                    if patient and budget.spent:
                         break
                     begun = watched
                     found.append((watched, *judged(watched.holds, known)))
@@ -286,7 +286,7 @@ class Monitors:
         for watched, outcome, why in found:
             watched.due, watched.true = False, round_ - (old if watched.senses else 0)
             if outcome == "violated" and watched.outcome != "violated":
-                why = self._told(watched, known)
+                why = self._evidence(watched, known)
             self._become(watched, outcome, why, time)
 
     def _overran(self, late: MonitoredProperty, time: float) -> None:
@@ -298,21 +298,21 @@ class Monitors:
             self._off.append(late)
             self._become(late, "no value", f"it takes more than {BUDGET * self._delta * 1e3:.3g} ms: it is off", time)
 
-    def _told(self, watched: MonitoredProperty, known: Known) -> str:
+    def _evidence(self, watched: MonitoredProperty, known: Known) -> str:
         """Return a text with the quantified names and the values that made a property false."""
         trail: Trail = []
         assert self._found is not None
         make = self._found.step if isinstance(watched.what, Assumption) else self._found.fleet
         again = make(len(self._names), trail)
-        again.take(known)
+        again.copy_from(known)
         judged(watched.holds, again)
-        return told(trail, self._names)[1]
+        return evidence(trail, self._names)[1]
 
     def _become(self, watched: MonitoredProperty, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
         change = watched.become(outcome, why, self._round, time, stale)
         if change is not None:
             self.verdict = self._demanded()
-            self._tell(change)
+            self._report(change)
 
     def _demanded(self) -> Verdict:
         acting = [watched for watched in self.watched if watched.acting]
@@ -349,7 +349,7 @@ MOST_READ = 8  # largest number of values in the text
 LONGEST = 120  # largest number of characters in the text of one value
 
 
-def told(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1) -> tuple[tuple[str, ...], str]:
+def evidence(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1) -> tuple[tuple[str, ...], str]:
     """Return the robots that a false formula is about, and a text with its quantified names and the values it read.
 
     `why`: end of the text. `pid`: robot of an assumption, or -1."""

@@ -70,14 +70,14 @@ def _trace(path: Path, limit: float | None) -> Finding:
         free, used = shutil.disk_usage(path.parent).free / MEGABYTE, size_of(path) / MEGABYTE
     except OSError as error:
         return Finding("trace", "fail", f"{path.parent}: {error.strerror}", why="the robot writes its trace to it")
-    told = f"{free:.0f} MB free in {path.parent}"
+    detail = f"{free:.0f} MB free in {path.parent}"
     if limit is None:
-        return Finding("trace", "warn", f"{told}, no limit", why="the trace will fill the disk: set `trace_limit`")
-    told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
+        return Finding("trace", "warn", f"{detail}, no limit", why="the trace will fill the disk: set `trace_limit`")
+    detail += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
     if free < limit - used:
         why = "the disk will be full before the trace reaches its limit: free disk space, or set a lower `trace_limit`"
-        return Finding("trace", "warn", told, f"{limit - used:.0f} MB free", why)
-    return Finding("trace", "ok", told)
+        return Finding("trace", "warn", detail, f"{limit - used:.0f} MB free", why)
+    return Finding("trace", "ok", detail)
 
 
 def _program(program: Program, settings: Settings) -> Finding:
@@ -147,20 +147,20 @@ def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
     own, network = settings.peers[settings.pid], settings.network
     place = settings.bind or own.host
     if not missing:  # a missing address would make this check fail with an error that is already reported
-        told = f"{place}:{own.port} is free, {network.transport} {network.group}".rstrip()
+        detail = f"{place}:{own.port} is free, {network.transport} {network.group}".rstrip()
         if network.transport == "zenoh":
-            told = f"zenoh opens as {network.mode}"
-        yield _opens("port", told, lambda: open_transport(settings).close())
-    told = f"{place}:{settings.control_port} is free: emergency stop and --status"
-    yield _opens("control", told, lambda: Control.open(settings, key).close())
+            detail = f"zenoh opens as {network.mode}"
+        yield _opens("port", detail, lambda: open_transport(settings).close())
+    detail = f"{place}:{settings.control_port} is free: emergency stop and --status"
+    yield _opens("control", detail, lambda: Control.open(settings, key).close())
 
 
-def _opens(name: str, told: str, open_and_close: Callable[[], None]) -> Finding:
+def _opens(name: str, detail: str, open_and_close: Callable[[], None]) -> Finding:
     try:
         open_and_close()
     except CannotOpen as error:
         return Finding(name, "fail", str(error))
-    return Finding(name, "ok", told)
+    return Finding(name, "ok", detail)
 
 
 def is_loopback(host: str) -> bool:

@@ -30,7 +30,7 @@ def status(findings: Iterable[Finding]) -> int:
     return OK if not failed else WRONG if failed & set(OWN) else SURROUNDINGS
 
 
-def tell(app: str, findings: Iterable[Finding], form: Form) -> int:
+def print_checks(app: str, findings: Iterable[Finding], form: Form) -> int:
     """Print the results of all checks on standard output. Return the exit status.
 
     `form`: "text" prints each result immediately, "json" prints one JSON document at the end."""
@@ -62,7 +62,7 @@ def row(finding: Finding, width: int) -> str:
     return "\n".join(wrapper.fill(line) for line in lines)
 
 
-def tell_shortly(findings: Iterable[Finding]) -> int:
+def print_briefly(findings: Iterable[Finding]) -> int:
     """Print the result of each check on one line, and stop after the first failed check. Return the exit status."""
     for finding in findings:
         if finding.state == "fail":
@@ -81,7 +81,7 @@ def _whole(finding: Finding) -> str:
     return f"{finding.name}: {finding.found}{wanted}{hint}"
 
 
-def tell_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
+def report_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
     """Print the error of a bundle that cannot be imported. Return the exit status.
 
     If `argv` contains `--doctor`, also print the results of all checks that need no import."""
@@ -89,5 +89,5 @@ def tell_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
     what = f"the Python package {error.name!r} is missing or does not load: {error}"
     found = [*host(root), Finding("import", "fail", what, why=install)]
     if "--doctor" in argv:
-        return tell(root.name, found, "json" if "json" in argv or "--format=json" in argv else "text")
-    return tell_shortly(found[-1:])
+        return print_checks(root.name, found, "json" if "json" in argv or "--format=json" in argv else "text")
+    return print_briefly(found[-1:])

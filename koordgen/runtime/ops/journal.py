@@ -59,7 +59,7 @@ class Journal:
         self._counted: Mapping[str, int] = {}
         self._faulty = ""
         self._phase = ""
-        self._said = ""
+        self._last_progress = ""
         self._last = ""  # last log line
         self._measured = 0.0
         self.recent = Recent()
@@ -68,14 +68,14 @@ class Journal:
 
     def phase(self, phase: str, detail: str) -> None:
         """Record a new phase of the agent. The log line omits a detail that the last log line already contains."""
-        self._phase, self._said = phase, ""
+        self._phase, self._last_progress = phase, ""
         self._trace.phase(self._clock.now(), phase, detail)
         self._line("info", f"{phase}: {detail}" if detail and not self._last.startswith(detail) else phase)
 
     def progress(self, text: str) -> None:
         """Record the progress within the phase, unless `text` equals the progress that was recorded last."""
-        if text and text != self._said:
-            self._said = text
+        if text and text != self._last_progress:
+            self._last_progress = text
             self._trace.phase(self._clock.now(), self._phase, text)
             self._line("info", text)
 
@@ -153,7 +153,7 @@ class Journal:
         """True if so many records of rounds wait that they must be written now."""
         return len(self.untold) >= MOST_UNTOLD
 
-    def tell(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
+    def write_pending(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
         """Write all waiting records of rounds, and the metrics if they are due."""
         for record in self.untold:
             self.observe(record, counters)

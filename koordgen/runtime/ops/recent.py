@@ -21,7 +21,7 @@ MOST_POINTS = 32
 
 _encoder = msgspec.json.Encoder(enc_hook=repr)
 Line = tuple[int, float, int, str, str]  # number of the line, local time in seconds, round, level, text
-Outcome = tuple[int, str, str, float]  # round, outcome, detail, seconds after the round's start
+RoundResult = tuple[int, str, str, float]  # round, outcome, detail, seconds after the round's start
 
 
 class Recent:
@@ -29,7 +29,7 @@ class Recent:
 
     def __init__(self) -> None:
         self._lines: deque[Line] = deque(maxlen=MOST_LINES)
-        self._rounds: deque[Outcome] = deque(maxlen=MOST_ROUNDS)
+        self._rounds: deque[RoundResult] = deque(maxlen=MOST_ROUNDS)
         self._written: dict[str, tuple[int, Any]] = {}
         self._count = 0
         self._decided = 0.0  # time of the newest round's record, in seconds of the local clock
@@ -78,7 +78,7 @@ class Recent:
         }
 
 
-def _runs(rounds: Iterable[Outcome]) -> list[list[Any]]:
+def _runs(rounds: Iterable[RoundResult]) -> list[list[Any]]:
     runs: list[list[Any]] = []
     for number, outcome, detail, late in rounds:
         late_ms = round(late * 1e3, 1)

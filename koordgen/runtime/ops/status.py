@@ -18,7 +18,7 @@ REPEAT, TIMEOUT = 0.1, 2.0  # seconds until a request is sent again, and until t
 
 
 class Asking:
-    """Request of one agent's status report. The caller sends all `datagrams` and passes each answer to `take`.
+    """Request of one agent's status report. The caller sends all `datagrams` and passes each answer to `receive`.
 
     This is repeated until `answer` is set. The first datagram requests the challenge that the other datagrams contain.
     """
@@ -38,7 +38,7 @@ class Asking:
         questions = [AskStatus(self._application, self._nonce, self._challenge, i) for i in missing]
         return [encode(question, self._key) for question in questions]
 
-    def take(self, datagram: bytes) -> bool:
+    def receive(self, datagram: bytes) -> bool:
         """Handle an answer. Return True if the report is complete, or if `datagrams` should be sent again at once."""
         order = decode(datagram, self._key)
         if isinstance(order, Offer) and order.nonce == self._nonce and not self._challenge:
@@ -72,7 +72,7 @@ def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
                 with suppress(OSError):
                     asker.sendto(datagram, address)
             with suppress(OSError):  # includes a timeout
-                while not asking.take(asker.recv(LONG + 1)):
+                while not asking.receive(asker.recv(LONG + 1)):
                     pass
     return asking.answer
 

@@ -53,7 +53,7 @@ class Library:
             try:
                 self._module = importlib.import_module(self._name)
             except ESCAPES as error:
-                raise BadExtern(f"{self._name}.py cannot be imported: {_told(error)}") from error
+                raise BadExtern(f"{self._name}.py cannot be imported: {_error_text(error)}") from error
 
     def find(self, name: str) -> Callable[..., Any]:
         """Return a function or class of the user's module. Raises BadExtern if it is missing."""
@@ -87,7 +87,7 @@ class Extern:
         try:
             found = function(*given)
         except ESCAPES as error:
-            raise BadExtern(f"{self._name} raised {_told(error)}") from error
+            raise BadExtern(f"{self._name} raised {_error_text(error)}") from error
         try:
             plain = msgspec.to_builtins(self._closed(self._result, found), builtin_types=(bytes,))
             return msgspec.convert(plain, self._type, strict=True)
@@ -126,7 +126,7 @@ class Extern:
         try:
             return msgspec.msgpack.decode(value.data, type=cls) if value.data else cls()
         except ESCAPES as error:
-            raise BadExtern(f"no {name} can be made for {self._name}: {_told(error)}") from error
+            raise BadExtern(f"no {name} can be made for {self._name}: {_error_text(error)}") from error
 
     def _closed(self, bound: Bound, value: Any) -> Any:
         """Convert a result of the user's function to Koord values.
@@ -186,7 +186,7 @@ def shown(value: object) -> str:
         return f"a {type(value).__name__}"
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     try:
         return f"{type(error).__name__}: {error}"
     except ESCAPES:

@@ -212,7 +212,7 @@ class Transaction:
         """Append one line of text, joined from `parts`, to the output stream `port`."""
         self._streams.append((port, made("".join(parts))))
 
-    def news(self) -> dict[str, Any]:
+    def written_values(self) -> dict[str, Any]:
         """Return the values that the event wrote (name -> value); for an allread variable the robot's own slot."""
         written = self.written.items()
         return {name: place.own if isinstance(place, Slots) else place.value for name, place in written if place.line}
@@ -347,7 +347,7 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
         stopped = True
     except Exception as error:
         return _fault(program, error)
-    found = state.news()
+    found = state.written_values()
     effects = state.effects(found, stopped)
     return _refused(program, state, found, effects, line) or effects
 

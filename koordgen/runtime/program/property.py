@@ -139,7 +139,7 @@ class Known:
             elif name in self.one:
                 self.one[name].content = value
 
-    def take(self, other: Known) -> None:
+    def copy_from(self, other: Known) -> None:
         """Copy all values from another Known."""
         self.pid, self.asked = other.pid, other.asked
         self.put({name: each.values for name, each in other.each.items()})
@@ -206,15 +206,15 @@ class Known:
 class Property:
     """Invariant or `initially` property of a program.
 
-    `reads`: names of the ports, local variables and shared variables that the formula reads. `surely`: screening
-    function, a vectorised sufficient condition on arrays of many observations; None if the property has none."""
+    `reads`: names of the ports, local variables and shared variables that the formula reads. `screening`: a
+    vectorised sufficient condition on arrays of many observations; None if the property has none."""
 
     kind: Literal["initially", "invariant"]
     name: str
     line: int
     holds: Callable[[Any], bool]
     reads: tuple[str, ...]
-    surely: Callable[[Any], Any] | None = None
+    screening: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,15 +233,15 @@ class Asking:
 class Assumption:
     """Assumption about the ports of a module, for every robot that has the module.
 
-    An assumption with `goals` must hold for all recorded calls. `surely`: screening function, a vectorised sufficient
-    condition on arrays for all robots; None if the assumption has none."""
+    An assumption with `goals` must hold for all recorded calls. `screening`: a vectorised sufficient condition on
+    arrays for all robots; None if the assumption has none."""
 
     module: str
     line: int
     holds: Callable[..., bool]
     reads: tuple[str, ...]
     goals: tuple[Asking, ...] = ()
-    surely: Callable[[Any], Any] | None = None
+    screening: Callable[[Any], Any] | None = None
 
     def holds_of_calls(self, known: Known) -> bool:
         """Return whether the assumption holds for each combination of recorded calls; True without calls."""

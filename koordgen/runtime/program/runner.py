@@ -101,7 +101,7 @@ class Interrupting:
             raise Overrun("out of time")
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class EventResult(msgspec.Struct, frozen=True):
     """Result of a round: the effects of an event, or a fault without effects, or no event (all fields None).
 
     `lock`: index of the lock of an atomic event, whose effects count as soon as its transaction has won the lock; -1
@@ -142,7 +142,7 @@ class Runner:
             self.locals = done.locals
         return done
 
-    def step(self, frame: Frame, deadline: float) -> Outcome:
+    def step(self, frame: Frame, deadline: float) -> EventResult:
         """Run the first enabled event of the program as the event of this round.
 
         An event that is not finished by `deadline` (local time in seconds) is discarded as a whole."""
@@ -153,16 +153,16 @@ class Runner:
                 state = self.program.begin(frame)
                 chosen = choose(self.program, state)
                 if chosen is None:
-                    return Outcome()
+                    return EventResult()
                 if isinstance(chosen, Fault):
-                    return Outcome(fault=chosen)
+                    return EventResult(fault=chosen)
                 event = chosen
                 done = run(self.program, event.effect, state, event.line)
         except Overrun:
             done = Fault(self.program.source, event.line if event else 0, LATE)
         name = event.name if event else None
         if isinstance(done, Fault):
-            return Outcome(name, fault=done)
+            return EventResult(name, fault=done)
         if self._clock.now() > deadline:
-            return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
-        return Outcome(name, done, lock=-1 if event is None or event.lock is None else event.lock)
+            return EventResult(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
+        return EventResult(name, done, lock=-1 if event is None or event.lock is None else event.lock)

@@ -359,7 +359,7 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     since: float | None = None  # time of the first violation, missing value or state out of model; null: none [s]
     robots: tuple[str, ...] = ()  # names of the robots for which the property was false
     detail: str = ""  # values that the property read, as text for users
-    moments: int = 0  # number of times at which the property was evaluated
+    observations: int = 0  # number of times at which the property was evaluated
     application: str = ""  # name of the application that has the property
 
 

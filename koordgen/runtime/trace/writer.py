@@ -56,7 +56,7 @@ class Trace:
         self._pid = -1
         self._application = ""
         self._slots: Collection[str] = ()
-        self._told: dict[str, Any] = {}  # shared variables as the records of this part give them
+        self._recorded: dict[str, Any] = {}  # shared variables as the records of this part give them
         # The fields below are written at the beginning of the next part.
         self._header: schema.RobotHeader | None = None
         self._part = 0
@@ -82,7 +82,7 @@ class Trace:
 
     def phase(self, time: float, phase: str, detail: str) -> None:
         record = schema.Phase(phase, detail, time, LEFT_OUT, LEFT_OUT)
-        self._tell(record, time)
+        self._write_record(record, time)
         if phase != self._phase:
             self._phase = phase
             if phase != STARTING:
@@ -91,7 +91,7 @@ class Trace:
     def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
         """Write a record of `init`: its sensor values, its writes, and all private variables `after` it."""
         self._turn_if_full(time)
-        self._told, self._life, self._last = {}, after, 0
+        self._recorded, self._life, self._last = {}, after, 0
         self._write(
             schema.Init(
                 sensors=sensors,
@@ -111,15 +111,15 @@ class Trace:
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
         """Write the view that begins at round `since`. `members`: each robot's incarnation, -1 for a non-member."""
         record = schema.View(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
-        self._tell(record, time)
+        self._write_record(record, time)
         self._view = record
 
     def log(self, time: float, level: str, message: str) -> None:
-        self._tell(schema.Log(level, message, time, LEFT_OUT, LEFT_OUT), time)
+        self._write_record(schema.Log(level, message, time, LEFT_OUT, LEFT_OUT), time)
 
     def stall(self, time: float, state: Literal["begins", "goes on", "ends"], why: str, lasted: float) -> None:
         """Write that a stall of the vehicle begins, goes on or ends. `lasted`: seconds since the stall began."""
-        self._tell(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
+        self._write_record(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
 
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
         """Write a line of the program's output in a round; round 0 is `init`.
@@ -129,7 +129,7 @@ class Trace:
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
         """Write a snapshot of the quality of the robot's links and rounds."""
-        self._tell(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
+        self._write_record(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
     def monitor(self, change: Change) -> None:
         """Write a change of a monitored property's verdict."""
@@ -137,7 +137,7 @@ class Trace:
             change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
             change.time, LEFT_OUT, LEFT_OUT, self._application,
         )  # fmt: skip
-        self._tell(record, change.time)
+        self._write_record(record, change.time)
 
     def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
         """Write one round of the robot.
@@ -185,7 +185,7 @@ class Trace:
             self._end(error)
             return
         self._part += 1
-        self._told = {}
+        self._recorded = {}
         if self._header is not None:
             self._write(msgspec.structs.replace(self._header, part=self._part))
         for record in self._phases.values():
@@ -202,7 +202,7 @@ class Trace:
         The robot's own slots are left out, because they are recorded with its events. Allwrite variables are included,
         because another robot may have written them."""
         found: dict[str, Any] = {}
-        frame, told = record.frame, self._told
+        frame, told = record.frame, self._recorded
         if frame is None:
             return found
         for name, value in frame.shared.items():
@@ -215,9 +215,9 @@ class Trace:
             elif before is None:
                 found[name] = dict(enumerate(value))
             else:
-                news = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
-                if news:
-                    found[name] = news
+                changed = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
+                if changed:
+                    found[name] = changed
         return found
 
     def close(self) -> None:
@@ -226,7 +226,7 @@ class Trace:
                 self._file.close()
             self._file = None
 
-    def _tell(self, record: msgspec.Struct, time: float) -> None:
+    def _write_record(self, record: msgspec.Struct, time: float) -> None:
         """Write a record for which a new part of the trace may be begun."""
         self._turn_if_full(time)
         self._write(record)

@@ -39,7 +39,7 @@ class Driven:
                 self._drivers[module] = make()
         except ESCAPES as error:
             self.close()
-            raise Unready(f"the driver of {module} cannot be created: {_told(error)}") from None
+            raise Unready(f"the driver of {module} cannot be created: {_error_text(error)}") from None
         self._types = {
             p.name: p.type
             for p in program.ports
@@ -104,7 +104,7 @@ class Driven:
             try:
                 self._drivers[module].command(written)
             except ESCAPES as error:
-                raise Unready(f"the driver of {module} refused a command: {_told(error)}") from None
+                raise Unready(f"the driver of {module} refused a command: {_error_text(error)}") from None
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         module, _, name = port.partition(".")
@@ -119,8 +119,8 @@ class Driven:
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         self._platform.others(paths)
 
-    def news(self) -> list[str]:
-        return self._platform.news()
+    def log_lines(self) -> list[str]:
+        return self._platform.log_lines()
 
     def hold(self, on: bool, now: float) -> None:
         self._platform.hold(on, now)
@@ -147,7 +147,7 @@ class Driven:
                 for name in ports:
                     self._values[name] = self._typed(name, sensed[name.partition(".")[2]])
             except ESCAPES as error:
-                trouble = f"the driver of {module} does not sense: {_told(error)}"
+                trouble = f"the driver of {module} does not sense: {_error_text(error)}"
                 self._values.update(dict.fromkeys(ports))
         self._trouble = trouble
 
@@ -158,5 +158,5 @@ class Driven:
         return typed
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"

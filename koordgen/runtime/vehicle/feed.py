@@ -93,7 +93,7 @@ class Feed:
         """Select the clock that stamps the samples of a link: the raw clock for a real socket."""
         self._even = even_clock(link)
 
-    def take(self, datagram: bytes, now: float) -> bool:
+    def receive(self, datagram: bytes, now: float) -> bool:
         """Handle a datagram that arrived at `now`. Return whether it brought a newer pose."""
         payload = unseal(self._key, POSITION, datagram)
         if payload is None:
@@ -123,7 +123,7 @@ class Feed:
         self.pose, self.time = sample.pose, now - delay - max(0.0, sample.age)
         return True
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines since the last call: a warning if a base station sends samples of an earlier session."""
         if self._overtaken < OVERTAKEN:
             return []
@@ -135,7 +135,7 @@ class Feed:
         ]
 
     def reject(self, reason: str) -> bool:
-        """Count a dropped datagram by its reason. Return False, so that `take` can return the result of this call."""
+        """Count a dropped datagram by its reason. Return False, which `receive` then returns."""
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
         return False
 

@@ -131,7 +131,7 @@ class Platform(Protocol):
         is missing if its robot has published no path."""
         ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines about new problems, since the last call, that do not end the mission."""
         ...
 

@@ -19,7 +19,7 @@ from koordgen.runtime.vehicle.datagrams import DatagramLink, UdpLink, listen, wa
 from koordgen.runtime.vehicle.platform import Finding, Unready
 
 WINDOW = 0.5  # seconds for which a scan stays visible
-PATIENCE = 60.0  # seconds to wait for the first scan: the lidar's driver may be started after the robot
+FIRST_SAMPLE_TIMEOUT = 60.0  # seconds to wait for the first scan: the lidar's driver may be started after the robot
 MOST_SCANS = 4  # number of scans kept; older scans are dropped
 MOST_RAYS = 512  # largest number of rays in one turn, so that a turn fits into a datagram of 1200 bytes
 FARTHEST = 1000.0  # largest accepted range of a lidar in metres
@@ -84,7 +84,7 @@ class Scans:
         """True if at least one scan has arrived."""
         return self._sequence >= 0
 
-    def take(self, datagram: bytes, now: float) -> bool:
+    def receive(self, datagram: bytes, now: float) -> bool:
         """Handle a datagram that arrived at `now`. Return whether it contained a newer turn of the lidar."""
         payload = unseal(self._key, SCAN, datagram)
         if payload is None:
@@ -135,14 +135,14 @@ class ScanPort:
     def poll(self, now: float) -> None:
         """Handle all datagrams that have arrived.
 
-        Raises Unready if the first scan does not arrive within PATIENCE seconds. It is raised only once, because the
-        agent goes on polling during the safe stop."""
+        Raises Unready if the first scan does not arrive within FIRST_SAMPLE_TIMEOUT seconds. Raises it only
+        once, because the agent goes on polling during the safe stop."""
         if self._link is None:
             return
         for datagram in waiting(self._link):
-            self.scans.take(datagram, now)
+            self.scans.receive(datagram, now)
         self._began = now if self._began is None else self._began
-        if self.waiting and self._patient and now - self._began > PATIENCE:
+        if self.waiting and self._patient and now - self._began > FIRST_SAMPLE_TIMEOUT:
             self._patient = False
             raise Unready(f"{self.waiting}, but none has come for {now - self._began:.0f} s", _HINT)
 

@@ -173,7 +173,7 @@ class PropertyJudge:
     ) -> AuditViolation:
         trail: Trail = []
         again = self._found.fleet(self._n, trail)
-        again.take(self._known)
+        again.copy_from(self._known)
         judged(property_.holds, again)
         bound = [each for each in trail if isinstance(each, Bound)]
         pids = [b.value for b in bound if b.robot and b.value in range(self._n)]
@@ -197,7 +197,7 @@ class PropertyJudge:
     def _broken(self, assumption: Assumption, came: _Evaluation, observation: Observation) -> AuditViolation:
         trail: Trail = []
         again = self._found.step(self._n, trail)
-        again.take(self._step)
+        again.copy_from(self._step)
         judged(assumption.holds_of_calls, again)
         pid, one = self._step.pid, self._step.one
         name = self._mission.histories[pid].name

@@ -81,7 +81,7 @@ class Drive(Protocol):
         """Brake the car; at standstill, command neutral."""
         ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return messages about events since the last call, for the log."""
         ...
 

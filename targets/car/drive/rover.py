@@ -290,9 +290,9 @@ class RoverDrive:
         if self._link.unsent == unsent:
             self._watch.beat()
 
-    def news(self) -> list[str]:
-        """Implement `Drive.news`."""
-        told, self._log_lines = self._log_lines + self._watch.news(), []
+    def log_lines(self) -> list[str]:
+        """Implement `Drive.log_lines`."""
+        told, self._log_lines = self._log_lines + self._watch.log_lines(), []
         return told
 
     def close(self, standing: bool) -> None:

@@ -200,9 +200,9 @@ class VescDrive:
         elif now - self._stuck_since > STUCK:
             raise Unready(f"the motor controller at {self._device} takes no commands", "check its cable")
 
-    def news(self) -> list[str]:
-        """Implement `Drive.news`."""
-        told, self._log_lines = self._log_lines + self._watch.news(), []
+    def log_lines(self) -> list[str]:
+        """Implement `Drive.log_lines`."""
+        told, self._log_lines = self._log_lines + self._watch.log_lines(), []
         return told
 
     def close(self, standing: bool) -> None:

@@ -48,7 +48,7 @@ class Watch(Protocol):
         """Reason why the car must not be driven: the watchdog does not answer. In words; "" while it answers."""
         ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return messages about events since the last call, for the log."""
         ...
 
@@ -111,7 +111,7 @@ class WatchdogProcess:
         silent = self._asked is not None and self._clock() - self._asked > SILENT
         return "braking: the watchdog does not answer" if silent else ""
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         told, self._log_lines = self._log_lines, []
         return told
 
@@ -230,7 +230,7 @@ class Unwatched:
     def poll(self) -> None:
         pass
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def close(self, standing: bool) -> None:

@@ -193,9 +193,9 @@ class Avoidance:
                 self.blocker = inside if free == 0.0 and lane.inside else f"robot {name}'s path is {free:.1f} m ahead"
         return best
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return messages about problems since the last call, for the log."""
-        told, self._log_lines = [*self._log_lines, *self._program.news(), *self._driving.news()], []
+        told, self._log_lines = [*self._log_lines, *self._program.log_lines(), *self._driving.log_lines()], []
         return told
 
     def diagnose(self, sleep: Callable[[float], None]) -> Finding:

@@ -125,7 +125,7 @@ def check_watchdog(links: Links) -> Finding:
     finally:
         watch.close(standing=True)
         os.close(nothing)
-    hint = "; ".join(watch.news()) or "check whether the computer is overloaded"
+    hint = "; ".join(watch.log_lines()) or "check whether the computer is overloaded"
     return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
 
 
@@ -145,7 +145,7 @@ def check_feed(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> l
             links.wait(_STEP)
             now = i * _STEP
             for datagram in waiting(datagrams):
-                if feed.take(datagram, now) and feed.time is not None:
+                if feed.receive(datagram, now) and feed.time is not None:
                     came.append(now)
                     oldest = max(oldest, now - feed.time)
             if came and now - came[0] >= _WATCHED:

@@ -113,7 +113,7 @@ class Watching:
             )
             self._logged_at = now
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         told, self._log_lines = self._log_lines, []
         return told
 

@@ -170,7 +170,7 @@ class Car:
         steering = self._navigator.steering if self._navigator else 0.0
         self._estimator.predict(now, steering)
         for datagram in waiting(datagrams):
-            if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
+            if self._feed.receive(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._locate(self._feed.pose, self._feed.time, now)
         for pose, measured in drive.fixes():
             self._locate(pose, measured, now)
@@ -413,13 +413,13 @@ class Car:
         """Implement `Platform.others`."""
         self._avoidance.others(paths)
 
-    def news(self) -> list[str]:
-        """Implement `Platform.news`."""
+    def log_lines(self) -> list[str]:
+        """Implement `Platform.log_lines`."""
         told, self._log_lines = (
-            [*self._log_lines, *self._avoidance.news(), *self._feed.news(), *self._standstill.news()],
+            [*self._log_lines, *self._avoidance.log_lines(), *self._feed.log_lines(), *self._standstill.log_lines()],
             [],
         )
-        return told + (self._drive.news() if self._drive is not None else [])
+        return told + (self._drive.log_lines() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on

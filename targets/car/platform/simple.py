@@ -89,7 +89,7 @@ class BodyDrive:
     def brake(self, now: float) -> None:
         self._body.brake(self._braking)
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def close(self, standing: bool) -> None:

@@ -47,7 +47,7 @@ _SENSORS = {
 }
 
 
-def findings(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
+def checks(url: str, heard: Heard, frame: LocalFrame, fence: Box, height: float) -> list[Finding]:
     """Return the results of all checks, in the order in which failures should be repaired."""
     link = heard.link
     if link.vehicle is None:

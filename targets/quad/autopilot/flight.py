@@ -40,7 +40,7 @@ CALLING = 1.0
 CLIMB, RISING = 0.5, 0.8  # take-off setpoints rise at CLIMB (m/s), or at RISING times the climb limit if that is less
 CLIMB_SPEED = 2  # SPEED_TYPE_CLIMB_SPEED of DO_CHANGE_SPEED
 ASKED = 4  # requests for a climb limit; if all are refused or unanswered, the vehicle takes off without the limit
-PATIENCE = 5.0  # seconds on the ground after which the agent disarms, if the autopilot's LAND mode does not
+DISARM_AFTER = 5.0  # seconds on the ground after which the agent disarms, if the autopilot's LAND mode does not
 COMMANDS = (
     mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_DO_CHANGE_SPEED,
     mavlink.MAV_CMD_NAV_TAKEOFF,
@@ -366,7 +366,7 @@ class Flight:
         self._touch_down(now)
 
     def _touch_down(self, now: float) -> None:
-        """Disarm a vehicle that has been on the ground for PATIENCE seconds and is still armed.
+        """Disarm a vehicle that has been on the ground for DISARM_AFTER seconds and is still armed.
 
         Without a remote control, ArduPilot's LAND mode may wait forever before it disarms (LAND_REPOSITION). The
         command to disarm has no force flag, so the autopilot refuses it in flight."""
@@ -378,7 +378,7 @@ class Flight:
             self._grounded = None
             return
         self._grounded = now if self._grounded is None else self._grounded
-        if now - self._grounded > PATIENCE:
+        if now - self._grounded > DISARM_AFTER:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             self._doing = self._explained(
                 "on the ground but still armed: disarming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now

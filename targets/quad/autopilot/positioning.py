@@ -36,7 +36,7 @@ CLIMBING = 0.5  # seconds without a trustworthy position after which a climb is 
 JUMPED = 1.0  # seconds in which all samples jumped, after which the source counts as failed
 APART, LAG = 0.5, 0.2  # metres, seconds: estimate and source may differ by APART plus the distance flown in LAG
 HEIGHT = 0.1  # metres by which the heights of estimate and source may differ before a take-off
-PATIENCE = 60.0  # seconds to wait for the first sample: a base station may be started after the robots
+FIRST_SAMPLE_TIMEOUT = 60.0  # seconds to wait for the first sample: a base station may be started after the robots
 _JITTER = 0.005  # seconds by which a message may be sent before its time, because polls are not regular
 LEAST_RATE = 15.0  # Hz; a source with a lower rate gets a warning in the pre-flight check
 _IN_FLIGHT = (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING, Phase.FLYING)
@@ -80,9 +80,9 @@ class Positioning:
             self._feed.hear(self._datagrams)
         self._began, self._unix, self._taken = now, self._wall() - now, 0
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return the log lines of the position feed since the last call."""
-        return self._feed.news()
+        return self._feed.log_lines()
 
     def close(self) -> None:
         """Close the port of the position feed. Idempotent."""
@@ -118,7 +118,7 @@ class Positioning:
     def _pass_on(self, link: Link, now: float) -> None:
         """Receive the samples that have arrived, and send the newest one to the autopilot if a message is due."""
         for datagram in waiting(self._datagrams) if self._datagrams is not None else ():
-            if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
+            if self._feed.receive(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._taken += 1
                 self._track.add(self._feed.pose, self._feed.time)
         track = self._track
@@ -159,7 +159,7 @@ class Positioning:
         )
         if flight.phase in _IN_FLIGHT:
             self._give_up(flight.phase, now)
-        elif grounded and self._feed.time is None and now - self._began > PATIENCE:
+        elif grounded and self._feed.time is None and now - self._began > FIRST_SAMPLE_TIMEOUT:
             raise Unready(*self._feed.silent(self._setting, now - self._began))
 
     def _judge(self, state: Telemetry, grounded: bool, now: float) -> None:
@@ -210,7 +210,7 @@ class Positioning:
     def _waiting(self) -> str:
         return f"waiting for the position feed on {self._setting}{self._feed.dropped}"
 
-    def findings(self, state: Telemetry, now: float) -> list[Finding]:
+    def checks(self, state: Telemetry, now: float) -> list[Finding]:
         """Return the pre-flight checks of the source: rate, age and jumps of its samples.
 
         A further check compares the autopilot's estimate with the samples. Samples must have been forwarded for some

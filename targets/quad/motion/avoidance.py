@@ -72,7 +72,7 @@ class Avoidance:
         self._named = Scene()  # obstacles that the program passed in its last call of the planner
         self._asked = False  # whether the planner is planning a leg back to the path
         self._admitted: Path | None = None  # points of the last command if it may be flown, else None
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self.refusal = ""  # reason why the last command is not flown, in words; "" if the quad flies it
         self.unplanned = ""  # reason why the program's last call of the planner found no path; "" if it found a path
 
@@ -147,14 +147,14 @@ class Avoidance:
     def admits(self, position: Point | None, points: Path) -> bool:
         """Return whether the path from `position` along the commanded points may be flown.
 
-        If the path may not be flown, `refusal` and `news` give the reason. Points that are not finite are admitted
+        If the path may not be flown, `refusal` and `log_lines` give the reason. Points that are not finite are admitted
         here, because `Motion` refuses them."""
         if points == self._admitted or position is None or not transmissible(points):
             self.refusal = ""
             return True
         trouble = self._guard.trouble(position, tuple(map(self._lifted, points)))
         if trouble and not self.refusal:
-            self._news.append(f"the commanded path is not flown, holding instead: {trouble}")
+            self._log_lines.append(f"the commanded path is not flown, holding instead: {trouble}")
         self.refusal, self._admitted = trouble, None if trouble else points
         return not trouble
 
@@ -227,9 +227,9 @@ class Avoidance:
         """Return the place to which the quad flies for the commanded target `p`: the nearest one in its box."""
         return clamp(self._room, p)
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on refused commands and on the planner since the last call."""
-        told, self._news = [*self._news, *self._planning.news()], []
+        told, self._log_lines = [*self._log_lines, *self._planning.log_lines()], []
         return told
 
     def diagnose(self, sleep: Callable[[float], None]) -> Finding:

@@ -39,7 +39,7 @@ class Landing:
         self._pid, self._apart, self._surroundings = pid, apart, surroundings
         self._until: float | None = None  # latest time at which the landing begins; None before a place is chosen
         self._place: Point | None = None
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
 
     def aside(self, position: Point, velocity: Point, others: dict[str, Path], now: float) -> Point | None:
         """Return the place to fly to before the landing, or None to land now at `position`.
@@ -62,9 +62,9 @@ class Landing:
         names = f"robot {', '.join(below)}"
         place = next((p for p in self._places(position) if self._is_free(position, p, others)), None)
         if place is None:
-            self._news.append(f"landing above a path of {names}: there is no free place within {FARTHEST:g} m")
+            self._log_lines.append(f"landing above a path of {names}: there is no free place within {FARTHEST:g} m")
         else:
-            self._news.append(f"{names} may be below: moving to ({place.x:.2f}, {place.y:.2f}) before the landing")
+            self._log_lines.append(f"{names} may be below: moving to ({place.x:.2f}, {place.y:.2f}) before the landing")
         return place
 
     def _is_below(self, path: Path, position: Point) -> bool:
@@ -85,9 +85,9 @@ class Landing:
                 turn = self._pid * TURN + math.tau * i / DIRECTIONS
                 yield position + Point(math.cos(turn), math.sin(turn)) * (ring * STEP)
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on the choice of a landing place since the last call."""
-        told, self._news = self._news, []
+        told, self._log_lines = self._log_lines, []
         return told
 
 

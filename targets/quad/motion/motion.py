@@ -101,9 +101,9 @@ class Motion:
         """Reason why the vehicle has no path to its goal, in words; "" if it has a path."""
         return self._rejoin.stall
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on standstills since the last call."""
-        return self._rejoin.news()
+        return self._rejoin.log_lines()
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
         """Send the next setpoint if one is due, and check that the autopilot follows the setpoints.

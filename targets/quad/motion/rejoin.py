@@ -33,7 +33,9 @@ OFF = 0.2  # m between vehicle and reference beyond which the straight line betw
 STILL = 0.7
 BRAKING = 3.0  # s of braking after which a leg is searched for even if the vehicle does not stand still
 RETRY = 1.0  # s between two attempts to find a leg
-PATIENCE = 2.0  # s to wait for the planner's answer; after that, the vehicle brakes and the planner is asked again
+ANSWER_TIMEOUT = (
+    2.0  # s to wait for the planner's answer; after that, the vehicle brakes and the planner is asked again
+)
 
 # The vehicle keeps a share of the planner's clearance from obstacles. A planned path keeps the whole clearance.
 RUNNING = 0.5  # share of the clearance on lines along which the vehicle may fly on without setpoints
@@ -260,7 +262,7 @@ class Rejoin:
     def _answered(self, position: Point, velocity: Point, now: float) -> None:
         leg = self._space.leg()
         if leg is None:
-            if now - self._since > PATIENCE:
+            if now - self._since > ANSWER_TIMEOUT:
                 self._enter(Stage.BRAKING, now)
             return
         goal = self._reference.ahead[0]
@@ -347,6 +349,6 @@ class Rejoin:
         """Reason why the vehicle stands without a clear path, in words; "" if it has a clear path."""
         return self._standstill.holding or self._no_leg
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on standstills since the last call."""
-        return self._standstill.news()
+        return self._standstill.log_lines()

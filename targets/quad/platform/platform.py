@@ -33,7 +33,7 @@ from targets.planning.process import Beside
 from targets.planning.route import commanded, passed
 from targets.planning.standstill import Unplanned
 from targets.quad.autopilot.check import listen
-from targets.quad.autopilot.diagnosis import findings
+from targets.quad.autopilot.diagnosis import checks
 from targets.quad.autopilot.firmware import Firmware
 from targets.quad.autopilot.flight import Flight, Phase
 from targets.quad.autopilot.positioning import Positioning
@@ -168,8 +168,8 @@ class Quad:
             if positioning is not None:
                 positioning.close()
         if positioning is not None and not fed:
-            fed = positioning.findings(heard.telemetry, self._clock())
-        return [*fed, *findings(url, heard, self._frame, self._fence, self._body.flight_height)]
+            fed = positioning.checks(heard.telemetry, self._clock())
+        return [*fed, *checks(url, heard, self._frame, self._fence, self._body.flight_height)]
 
     def start(self, now: float) -> None:
         """Open the links to the robot's devices, and start the planner. `poll` then takes off. Raises Unready."""
@@ -328,10 +328,10 @@ class Quad:
         """Store the paths that the other robots have published, by their pids."""
         self._avoidance.others(paths)
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return the log lines of positioning, planner, motion control and landing since the last call."""
-        told = self._positioning.news() if self._positioning is not None else []
-        return [*told, *self._avoidance.news(), *self._motion.news(), *self._landing.news()]
+        told = self._positioning.log_lines() if self._positioning is not None else []
+        return [*told, *self._avoidance.log_lines(), *self._motion.log_lines(), *self._landing.log_lines()]
 
     def hold(self, on: bool, now: float) -> None:
         """Hold the position, or end the hold. A held quad on the ground does not take off."""

@@ -220,12 +220,12 @@ class Guidance:
         if aim is not self.aim:
             self._begun = False
             if aim is not GuidanceMode.TAKEOFF:  # a change to take-off is the only one that keeps the speeds
-                self.take_default_speeds()
+                self.reset_speeds()
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
         self.turn(None, 0.0)
 
-    def take_default_speeds(self) -> None:
+    def reset_speeds(self) -> None:
         """Forget the speed limits that commands have set."""
         self.speed, self.up, self.down = self.default_speed, self.default_up, self.default_down
 

@@ -76,8 +76,8 @@ class SimulatedRover:
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._sticks,
         }
         self.parameters = SimulatedParameters(table=PARAMETERS)
-        self.said: list[tuple[int, str]] = []
-        self._telemetry = SimulatedTelemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
+        self.texts: list[tuple[int, str]] = []
+        self._telemetry = SimulatedTelemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.texts, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -143,7 +143,7 @@ class SimulatedRover:
                 return accepted
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
                 if message.param1 and now < self._boot:
-                    self.said.append((mavlink.MAV_SEVERITY_CRITICAL, "Arm: Need Position Estimate"))
+                    self.texts.append((mavlink.MAV_SEVERITY_CRITICAL, "Arm: Need Position Estimate"))
                     return failed
                 self.armed = bool(message.param1)
                 return accepted

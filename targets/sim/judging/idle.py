@@ -56,7 +56,7 @@ class Idle:
         for record in records:
             match record:
                 case Init() | Round():
-                    if self._news(agent.robot.pid, record):
+                    if self._has_effect(agent.robot.pid, record):
                         self._since = max(self._since, record.time) if self._since < math.inf else self._since
                 case Stream():
                     self._since = max(self._since, record.time) if self._since < math.inf else self._since
@@ -71,19 +71,19 @@ class Idle:
         agents = self._run.conduct.agents
         return [a.robot.pid for a in agents if a.alive and a.stopping is None and a.robot.pid not in self._stopped]
 
-    def _news(self, pid: int, record: Init | Round) -> bool:
+    def _has_effect(self, pid: int, record: Init | Round) -> bool:
         if record.stopped:
             self._stopped.add(pid)
         if isinstance(record, Round):
             self._last[pid] = record.event or record.skipped or "nothing"
-        news = bool(record.stopped or record.actuators)
+        has_effect = bool(record.stopped or record.actuators)
         for values in (record.locals, record.shared):
             for name, raw in values.items():
                 value = msgspec.json.decode(raw)
                 if not same(self._values.get((pid, name)), value):
                     self._values[pid, name] = value
-                    news = True
-        return news
+                    has_effect = True
+        return has_effect
 
     def _report(self, at: float) -> None:
         self._timeout = 0.0  # once

@@ -30,7 +30,7 @@ class AgentHandle(ABC):
         self.trace_file = folder / "trace.jsonl"
         self.log_file = folder / "log.txt"
         self._delta = delta
-        self.told = False  # told to stop safely and end
+        self.asked_to_end = False  # told to stop safely and end
         self.killed = False  # killed by the run, because it did not stop in time
         self.crashed = False  # crashed by `crash` and not restarted yet
         self.phase = Phase("launched")
@@ -60,7 +60,7 @@ class AgentHandle(ABC):
 
     @abstractmethod
     def request_end(self) -> None:
-        """Tell the agent to stop safely and end."""
+        """Command the agent to stop safely and to end."""
 
     @abstractmethod
     def kill(self) -> None:
@@ -116,15 +116,15 @@ class AgentHandle(ABC):
         self.look()
         if self.killed:
             return "did not stop in time and was killed"
-        if status == 0 and not self.told and self.round == 0:
+        if status == 0 and not self.asked_to_end and self.round == 0:
             return "ended by itself before round 1"
         return self._failed(status)
 
-    def _take(self, record: TraceRecord) -> None:
+    def _record(self, record: TraceRecord) -> None:
         match record:
             case Phase():
                 self.phase = record
-                if record.phase == "stopping" and not self.told and self.stopping is None:
+                if record.phase == "stopping" and not self.asked_to_end and self.stopping is None:
                     self.stopping = record
             case Round():
                 if self.first_round_start is None:

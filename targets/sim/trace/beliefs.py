@@ -52,7 +52,7 @@ class Beliefs:
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
         self.robots = {robot.pid: Belief() for robot in header.robots}
 
-    def take(self, record: TraceRecord) -> list[Change]:
+    def apply(self, record: TraceRecord) -> list[Change]:
         """Apply a record. Return the values that it changed."""
         belief = self.robots.get(record.pid) if isinstance(record, OfRobot) else None
         if belief is None:

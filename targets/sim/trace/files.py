@@ -63,7 +63,7 @@ class Tail:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
-        self._rest = b""
+        self._incomplete = b""
         self.malformed = 0
 
     def read(self) -> list[TraceRecord]:
@@ -75,7 +75,7 @@ class Tail:
         except FileNotFoundError:
             return []
         self._offset += len(data)
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, self._incomplete = (self._incomplete + data).split(b"\n")
         found: list[TraceRecord] = []
         for line in lines:
             try:

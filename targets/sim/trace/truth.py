@@ -28,7 +28,7 @@ class _Robot:
     """Records of one robot. `rounds` wait to be applied."""
 
     init: Init | None = None
-    told: int = 0  # the last recorded round
+    last_recorded: int = 0  # the last recorded round
     rounds: dict[int, Round] = field(default_factory=dict)
     calls: Calls = ()  # in the round applied last
 
@@ -56,13 +56,13 @@ class Truth:
         if isinstance(record, Init):
             robot.init = record
         else:
-            robot.told = max(robot.told, record.round)
+            robot.last_recorded = max(robot.last_recorded, record.round)
             robot.rounds[record.round] = record
 
-    def told(self, pid: int) -> int:
+    def last_recorded(self, pid: int) -> int:
         """Return the last recorded round of a robot; -1 before its `init`."""
         robot = self._robots[pid]
-        return robot.told if robot.told or robot.init is not None else -1
+        return robot.last_recorded if robot.last_recorded or robot.init is not None else -1
 
     def calls(self, pid: int) -> Calls:
         """Return the robot's calls of callable ports in `round`."""
@@ -89,7 +89,7 @@ class Truth:
         if self.round == 0:
             for pid, robot in enumerate(self._robots):
                 if robot.init is not None:
-                    self._take(pid, robot.init.locals, robot.init.actuators)
+                    self._set_values(pid, robot.init.locals, robot.init.actuators)
                     self._write(pid, robot.init.shared)
             return
         records = [(pid, record) for pid, robot in enumerate(self._robots) for record in self._due(robot)]
@@ -114,8 +114,8 @@ class Truth:
             if name in self.values:
                 self.values[name][pid] = self._read(name, record.sensors)
         if record.restored is not None:
-            self._take(pid, record.restored.locals, record.restored.actuators)
-        self._take(pid, record.locals, record.actuators)
+            self._set_values(pid, record.restored.locals, record.restored.actuators)
+        self._set_values(pid, record.locals, record.actuators)
         for name in record.actuators:
             for sensor in self._clears.get(name, ()):
                 if sensor in self.values:
@@ -125,7 +125,7 @@ class Truth:
             (port, _arguments(args), self._one(port, answer)) for port, args, answer in record.calls
         )
 
-    def _take(self, pid: int, *groups: Values) -> None:
+    def _set_values(self, pid: int, *groups: Values) -> None:
         for group in groups:
             for name in group:
                 self.values[name][pid] = self._read(name, group)

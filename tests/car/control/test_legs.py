@@ -123,13 +123,13 @@ def blocked(**safety: Any) -> World:
 
 def test_a_car_that_makes_no_progress_says_so_and_holds() -> None:
     world = blocked()
-    (line,) = world.car.news()
+    (line,) = world.car.log_lines()
     assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another path")
     world.run(2 * NO_PROGRESS)
     assert "holding until" in world.car.stall, "it stood still twice, or its time for this target is over"
-    world.car.news()
+    world.car.log_lines()
     world.run(2 * NO_PROGRESS)
-    assert world.car.news() == [] and standing(world)
+    assert world.car.log_lines() == [] and standing(world)
 
 
 def test_a_car_that_makes_no_progress_comes_to_rest_where_the_fleet_file_says_so() -> None:
@@ -145,4 +145,4 @@ def test_a_car_that_holds_or_stands_at_its_target_is_not_stalled() -> None:
     world.run(2 * NO_PROGRESS)
     world.car.hold(False, world.now)
     world.run(15.0 + 2 * NO_PROGRESS)
-    assert world.value("reached") is True and world.car.news() == []
+    assert world.value("reached") is True and world.car.log_lines() == []

@@ -88,7 +88,7 @@ def test_a_robot_without_a_compiler_drives_says_so_and_its_diagnosis_warns(
     monkeypatch.setenv("PATH", "")
     world = World().begin()
     why = FAILS + "there is no C compiler (cc, gcc, clang)"
-    assert world.car.news() == [why] and world.car.news() == []
+    assert world.car.log_lines() == [why] and world.car.log_lines() == []
     world.go(1.5, 0.0)
     world.run(5.0)
     assert world.value("reached") is True

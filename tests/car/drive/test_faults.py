@@ -232,7 +232,7 @@ def test_a_car_that_stood_and_was_carried_is_believed_after_a_second() -> None:
     assert "jumped" in world.car.progress
     elsewhere(world, 0.4, -3.0)
     assert world.car.ready and world.value("position").x == pytest.approx(-3.0, abs=0.01)
-    assert any("jumped by 3.0 m: accepted" in line for line in world.car.news())
+    assert any("jumped by 3.0 m: accepted" in line for line in world.car.log_lines())
 
 
 def test_positions_that_are_no_numbers_are_dropped_and_brake_it() -> None:
@@ -260,7 +260,10 @@ def test_unplugged_while_driving_and_plugged_in_again_within_two_seconds_it_goes
     world.wire.unplugged = False
     world.run(8.0)
     assert world.value("reached") is True
-    assert world.car.news() == ["/dev/ttyACM0 is gone: braking", "the motor controller at /dev/ttyACM0 is there again"]
+    assert world.car.log_lines() == [
+        "/dev/ttyACM0 is gone: braking",
+        "the motor controller at /dev/ttyACM0 is there again",
+    ]
 
 
 def test_unplugged_for_longer_it_is_unready_and_brakes_when_it_is_back() -> None:

@@ -192,7 +192,7 @@ def test_a_pilot_who_takes_the_mode_keeps_it_and_gets_the_sticks() -> None:
     world.rover.mode = MANUAL
     world.run(2.0)
     assert standing(world), "not even when it is given back"
-    assert any("mode 4" in line for line in world.car.news())
+    assert any("mode 4" in line for line in world.car.log_lines())
     world.car.close()
     world.physics(0.1)
     assert world.rover.armed, "whose it is now decides"

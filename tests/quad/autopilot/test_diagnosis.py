@@ -14,7 +14,7 @@ from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.transport import Transport
 from targets.quad.autopilot.check import SILENCE, Heard
-from targets.quad.autopilot.diagnosis import findings
+from targets.quad.autopilot.diagnosis import checks
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.platform.platform import Quad
 
@@ -172,7 +172,7 @@ def judged(*messages: Message, wall: float = 1.8e9) -> dict[str, Finding]:
         for received in link.receive(1000.0):
             heard.record(received, 1000.0)
     heard.wall, heard.began, heard.ended = wall, 995.0, 1000.0
-    return {f.name: f for f in findings("udpin:1", heard, frame, FENCE, 1.5)}
+    return {f.name: f for f in checks("udpin:1", heard, frame, FENCE, 1.5)}
 
 
 def ekf(flags: int = 0x33F, variance: float = 0.1) -> Message:
@@ -238,11 +238,11 @@ def said(text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> Message:
 
 def test_what_the_autopilot_says() -> None:
     refusal = said("PreArm: Compass not calibrated")
-    warning, news = said("Bad vision", mavlink.MAV_SEVERITY_WARNING), said("Hello", mavlink.MAV_SEVERITY_INFO)
-    found = judged(refusal, warning, refusal, news)
+    warning, log_lines = said("Bad vision", mavlink.MAV_SEVERITY_WARNING), said("Hello", mavlink.MAV_SEVERITY_INFO)
+    found = judged(refusal, warning, refusal, log_lines)
     assert (found["checks"].state, found["checks"].found) == ("fail", "PreArm: Compass not calibrated")
     assert (found["says"].state, found["says"].found) == ("warn", "Bad vision")
-    assert not {"checks", "says", "sensors"} & set(judged(news))
+    assert not {"checks", "says", "sensors"} & set(judged(log_lines))
 
 
 def test_its_health() -> None:

@@ -16,7 +16,7 @@ from koordgen.runtime.config.settings import BadSettings, Safety
 from koordgen.runtime.values.points import Point, Pose, distance
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from koordgen.runtime.vehicle.safety import Guard
-from targets.quad.autopilot.positioning import JUMPED, PATIENCE, STALE
+from targets.quad.autopilot.positioning import FIRST_SAMPLE_TIMEOUT, JUMPED, STALE
 from targets.quad.autopilot.track import Track
 from targets.quad.platform.platform import Quad
 from tests.quad.platform.fed import KEY, WALL, Cable, FedRig, sample
@@ -297,7 +297,7 @@ def test_no_take_off_without_a_feed_and_after_a_minute_it_is_given_up() -> None:
     assert not rig.body._on and "waiting for the position feed on udp:0.0.0.0:47300" in rig.quad.progress
     rig.cable.waiting.append(sample(1, 0.0, Pose(), key=bytes(32)))
     with pytest.raises(Unready, match=r"no position has arrived on .* dropped: 1 not authentic"):
-        rig.run(PATIENCE)
+        rig.run(FIRST_SAMPLE_TIMEOUT)
     rig.quad.stop(rig.now)
     rig.run(1.0)
     assert rig.quad.stopped

@@ -292,7 +292,7 @@ def test_a_quad_lands_beside_a_robot_that_is_below_it(below: tuple[Point, ...]) 
     place = landed(rig)
     assert path_distance((Point(place.x, place.y),), tuple(Point(p.x, p.y) for p in below)) > 0.6
     assert distance(place, Point(1.0, -2.0, 0.0)) < 1.2
-    (line,) = rig.quad.news()
+    (line,) = rig.quad.log_lines()
     assert line.startswith("robot 1 may be below: moving to (")
 
 
@@ -300,9 +300,9 @@ def test_a_quad_lands_where_it_is_beside_others_as_high_and_without_a_free_place
     rig = Rig()
     rig.fly()
     rig.quad.others({1: (Point(1.4, -2.0, 1.45),)})
-    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2 and rig.quad.news() == []
+    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2 and rig.quad.log_lines() == []
     rig = Rig()
     rig.fly()
     rig.quad.others({pid: (Point(-3.0, 0.5 * pid - 5.0), Point(4.0, 0.5 * pid - 5.0)) for pid in range(1, 12)})
     assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2
-    assert "there is no free place within 1.6 m" in rig.quad.news()[0]
+    assert "there is no free place within 1.6 m" in rig.quad.log_lines()[0]

@@ -297,7 +297,7 @@ def ask_through(robot: Robot, asking: Asking, lose: random.Random | None = None)
             robot.get(datagram)
             for answer in robot.wires.answers:
                 if lose is None or lose.random() > 0.3:
-                    asking.take(answer)
+                    asking.receive(answer)
         if asking.answer is not None:
             return asking.answer
     return None
@@ -346,12 +346,12 @@ def test_a_recorded_question_learns_nothing() -> None:
 
 def test_pieces_of_two_moments_are_asked_for_again() -> None:
     asking = Asking(0, KEY, NONCE)
-    asking.take(encode(Offer(NONCE, 1, bytes(24), "bert"), KEY))
-    asking.take(encode(StatusPart(NONCE, 0, 2, b'{"a": '), KEY))
-    asking.take(encode(StatusPart(NONCE, 1, 2, b'"}'), KEY))
+    asking.receive(encode(Offer(NONCE, 1, bytes(24), "bert"), KEY))
+    asking.receive(encode(StatusPart(NONCE, 0, 2, b'{"a": '), KEY))
+    asking.receive(encode(StatusPart(NONCE, 1, 2, b'"}'), KEY))
     assert asking.answer is None and len(asking.datagrams()) == 1
-    asking.take(encode(StatusPart(NONCE, 3, 2, b"{}"), KEY))
-    asking.take(encode(StatusPart(b"nonce-00", 0, 1, b"{}"), KEY))
+    asking.receive(encode(StatusPart(NONCE, 3, 2, b"{}"), KEY))
+    asking.receive(encode(StatusPart(b"nonce-00", 0, 1, b"{}"), KEY))
     assert asking.answer is None
 
 

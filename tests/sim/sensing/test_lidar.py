@@ -126,7 +126,7 @@ def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     found: list[tuple[Point, Scan]] = []
 
     def send(data: bytes) -> None:
-        assert len(data) <= 1200 and feed.take(data, 0.0)
+        assert len(data) <= 1200 and feed.receive(data, 0.0)
         found.append(feed.recent(0.0)[-1])
 
     seeing._port.send = send  # type: ignore[method-assign]

@@ -45,7 +45,7 @@ def rows(*records: TraceRecord) -> dict[str, list[list[Any]]]:
     made = Rows(HEAD)
     for record in records:
         assert not isinstance(record, schema.Header)
-        made.take(record, record.t)
+        made.add(record, record.t)
     made.end()
     return made.taken()
 

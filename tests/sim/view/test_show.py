@@ -131,7 +131,7 @@ def test_it_is_what_the_agents_themselves_knew(tmp_path: Path) -> None:
             record = schema.decoded(line)
             if isinstance(record, (schema.Init, schema.Round)):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)
-                beliefs.take(own)
+                beliefs.apply(own)
                 belief = beliefs.robots[own.pid]
                 told[own.pid, belief.round] = json.loads(msgspec.json.encode([belief.locals, belief.shared]))
     compared = 0

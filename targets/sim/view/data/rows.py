@@ -50,7 +50,7 @@ from koordgen.runtime.trace.schema import (
 from koordgen.runtime.values.points import Point, Scan
 from targets.sim.base.bodies import Vector
 from targets.sim.trace.files import was_late
-from targets.sim.trace.monitor_reports import DisplayFilter, said
+from targets.sim.trace.monitor_reports import DisplayFilter, status_text
 from targets.sim.view.data.markers import Markers
 
 EVENT, SKIPPED, FAULT = 0, 1, 2
@@ -84,7 +84,7 @@ class Rows:
         chunk, self._chunk = self._chunk, {}
         return chunk
 
-    def take(self, record: TraceRecord, t: float) -> None:
+    def add(self, record: TraceRecord, t: float) -> None:
         """Convert one record; `t` overrides its own time."""
         t = round(t, 3)
         match record:
@@ -101,9 +101,9 @@ class Rows:
                 what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))
                 self._add("marks", [t, "verdict", what, list(record.robots), detail])
-            case Monitor() if 0 <= record.pid < self._count and self._notable.take(record):
+            case Monitor() if 0 <= record.pid < self._count and self._notable.add(record):
                 detail = ": ".join(filter(None, (record.line, record.why)))
-                self._add("marks", [t, "monitor", said(record), [self._names[record.pid]], detail])
+                self._add("marks", [t, "monitor", status_text(record), [self._names[record.pid]], detail])
             case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
                 self._of_robot(record, t)
             case _:
@@ -115,7 +115,7 @@ class Rows:
             case Pose(position=position, yaw=yaw):
                 self._add("poses", [pid, t, *(_small(c) for c in position), round(yaw, 3)])
                 self._markers.pose(position, t)
-                if (near := self._near.take(pid, t, position)) is not None:
+                if (near := self._near.add(pid, t, position)) is not None:
                     self._add("near", near)
             case Phase(phase=phase, detail=detail):
                 self._add("phases", [pid, t, phase, detail])
@@ -224,7 +224,7 @@ class _Nearest:
         self._left, self._right = np.triu_indices(count, 1)
         self._last = count - 1
 
-    def take(self, pid: int, t: float, position: Vector) -> list[Any] | None:
+    def add(self, pid: int, t: float, position: Vector) -> list[Any] | None:
         self._places[pid] = position
         if pid != self._last or pid == 0:
             return None

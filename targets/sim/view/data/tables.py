@@ -65,7 +65,7 @@ def write(folder: Path, header: Header, records: Iterable[TraceRecord]) -> None:
 
 def _believed(record: TraceRecord, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
     """Yield rows for new values that a robot knows: its locals, and shared variables in its own copy."""
-    for change in beliefs.take(record):
+    for change in beliefs.apply(record):
         if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
             robot, slot = names[record.pid], "" if change.slot is None else names.get(change.slot, str(change.slot))
             value = msgspec.json.encode(change.value).decode()

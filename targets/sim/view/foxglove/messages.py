@@ -92,7 +92,7 @@ class Messages:
                 yield f"/metrics/{name}", "koord.Metrics", told
             case Moved(number=number, obstacle=obstacle):
                 yield "/scene", "foxglove.SceneUpdate", _scene([scene.obstacle(obstacle, at, number)])
-        self._rows.take(record, record.t)
+        self._rows.add(record, record.t)
         yield from self._worked_out(self._rows.taken(), at)
 
     def of_rows(self, rows: Chunk, nanoseconds: Callable[[float], int]) -> Iterator[tuple[int, Message]]:

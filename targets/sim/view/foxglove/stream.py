@@ -125,7 +125,7 @@ class Streamed(Feed):
         self._messages = Messages(header)
         self._shift = 0.0  # s from the launch to round 1
 
-    def _take(self, record: TraceRecord, t: float) -> None:
+    def _add(self, record: TraceRecord, t: float) -> None:
         if isinstance(record, Header) or (not self._begun and isinstance(record, (Init, Round))):
             return  # records before the start of round 1 are passed on again later
         at = max(0, round((t + self._shift) * 1e9))
