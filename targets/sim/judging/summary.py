@@ -17,7 +17,7 @@ from targets.sim.base.bodies import Vector
 from targets.sim.run.run import RunResult
 from targets.sim.trace.files import was_late
 from targets.sim.trace.monitor_reports import Monitored, MonitorSummary
-from targets.sim.trace.monitor_reports import as_text as noticed_text
+from targets.sim.trace.monitor_reports import as_text as monitor_text
 
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
@@ -104,7 +104,7 @@ class Summary(msgspec.Struct):
     late_steps: int
     steps: int
     late_in_mission: int = 0  # of the late steps
-    warnings: list[MonitorSummary] = []  # violations reported by the robots' own monitors
+    monitors: list[MonitorSummary] = []  # violations reported by the robots' own monitors
     watching: float = 0.0  # share of the run's time that judging its properties took
     shares: dict[str, float] = {}  # shares of the processor's time, by part; empty in real time
     host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
@@ -156,7 +156,7 @@ def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult)
         why=why,
         violations=violations,
         properties=properties,
-        warnings=monitored.beside(properties),
+        monitors=monitored.beside(properties),
         causes=causes,
         robots=robots,
         min_separation=_separation(result, names),
@@ -286,7 +286,7 @@ def _named(found: Found) -> str:
 
 def found_text(found: Found) -> str:
     """Return the verdict on a property, in one line."""
-    detail = f": {found.detail}" if found.detail else f", moments: {found.observations}"
+    detail = f": {found.detail}" if found.detail else f", observations: {found.observations}"
     return f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}"
 
 
@@ -408,8 +408,8 @@ def _properties(summary: Summary) -> list[str]:
     None for a program without any."""
     lines = [found_text(found) for found in summary.properties]
     took = [f"judging them took {summary.watching:.1%} of the time"] if lines else []
-    own = ["", "the robots' own monitors:"] if summary.warnings else []
-    own += [f"  {noticed_text(found)}" for found in summary.warnings]
+    own = ["", "the robots' own monitors:"] if summary.monitors else []
+    own += [f"  {monitor_text(found)}" for found in summary.monitors]
     return (["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []) + own
 
 

@@ -141,7 +141,7 @@ def test_hold_keeps_a_robot_where_the_property_does_not_hold(tmp_path: Path) -> 
         (0, "violated", "hold")
     ]
     assert {(t["pid"], t["round"], t["age"]) for t in few if t["outcome"] == "violated"} == {(0, 16, 0), (1, 16, 0)}
-    by_name = {one["name"]: one for one in found["noticed"]}
+    by_name = {one["name"]: one for one in found["monitors"]}
     truth = {p["name"]: p for p in found["properties"]}
     for name in ("Yard", "Few"):
         assert 0 <= by_name[name]["seen"]["alice"] - truth[name]["since"] <= 0.2 and not by_name[name]["mistaken"]

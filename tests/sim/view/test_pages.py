@@ -74,7 +74,7 @@ def test_the_report_of_a_good_run_opens_at_its_beginning_and_has_nothing_red(tmp
     with Browser(tmp_path / "profile") as page:
         page.open(f"file://{tmp_path}/report.html")
         assert page.text("time") == "0.00 s"
-        assert "HELD: invariant Apart (a.koord:4), moments: 241" in page.value(
+        assert "HELD: invariant Apart (a.koord:4), observations: 241" in page.value(
             "document.querySelector('.verdict').innerText"
         )
         assert page.value(colour(".verdict li")) == page.value(colour("#marks tr.good td")) == GREEN
