@@ -21,7 +21,7 @@ from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import RoundMessage
 from koordgen.runtime.ops.opening import open_transport
 from koordgen.runtime.program.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
-from koordgen.runtime.trace.writer import Record, Trace
+from koordgen.runtime.trace.writer import RoundRecord, Trace
 from koordgen.runtime.values.bounds import Fixed, Text
 from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.values.points import Point
@@ -159,7 +159,7 @@ def run_agent(
     clock, given = SystemClock(), settings(pid, ports, delta, transport)
     skipped: dict[int, str] = {}
 
-    def note(record: Record) -> None:
+    def note(record: RoundRecord) -> None:
         if record.event is None or record.skipped:
             skipped[record.round] = record.skipped or "no event"
 

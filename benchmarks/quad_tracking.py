@@ -32,7 +32,7 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.link import Link
 from targets.mavlink.transport import opened
-from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.flight import Flight, FlightPhase
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.motion import Motion
 from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, setpoint
@@ -153,7 +153,7 @@ class Pilot:
             if self.flight.progress != said:
                 said = self.flight.progress
                 print(f"  {said}", file=sys.stderr)
-            if self.flight.phase is Phase.FLYING:
+            if self.flight.phase is FlightPhase.FLYING:
                 return
         raise Unready(f"not in the air after 180 s: {said}")
 
@@ -161,7 +161,7 @@ class Pilot:
         self.flight.stop(self.world.now())
         for _ in range(round(90 / TICK)):
             self.tick()
-            if self.flight.phase is Phase.STOPPED:
+            if self.flight.phase is FlightPhase.STOPPED:
                 return
         raise Unready(f"not landed after 90 s: {self.flight.progress}")
 

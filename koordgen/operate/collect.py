@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.hosts import HostError, Sessions, SshSession
 from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE
 from koordgen.runtime.trace.parts import base_of, numbered
@@ -51,7 +51,7 @@ class Collected(Node):
     fetched: int
 
 
-class Folder:
+class CollectionFolder:
     """Context manager: a run folder, locked for one collection.
 
     Raises CannotCollect when the folder holds files of another origin, or another collection uses it; OSError.
@@ -62,7 +62,7 @@ class Folder:
         self._marker: IO[str] | None = None
         self._known: dict[str, Any] = {}
 
-    def __enter__(self) -> Folder:
+    def __enter__(self) -> CollectionFolder:
         path = self.path
         if path.exists() and (not path.is_dir() or (any(path.iterdir()) and not (path / MARKER).is_file())):
             raise CannotCollect(
@@ -127,7 +127,7 @@ class Collection(Node):
     programs: list[dict[str, bytes]]
 
 
-async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int], None]) -> Collection:
+async def collect_all(sessions: Sessions, into: CollectionFolder, progress: Callable[[int], None]) -> Collection:
     """Fetch the traces and logs of all robots into the folder, from all hosts in parallel."""
     found: dict[str, Collected] = {}
     missed: dict[str, HostError | CannotCollect | OSError] = {
@@ -135,7 +135,7 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
     }
     programs: list[dict[str, bytes]] = []
 
-    async def of_host(session: Session) -> None:
+    async def of_host(session: SshSession) -> None:
         for robot in session.host.robots:
             try:
                 ahead = (await clock_offset(session)).ahead
@@ -152,7 +152,7 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
     return Collection(found, missed, programs)
 
 
-async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
+async def _programs(session: SshSession, robot: str) -> list[dict[str, bytes]]:
     """Return the program files of each release on the host, which are needed to replay a trace.
 
     The files are the program, its params and its extern functions.
@@ -167,7 +167,7 @@ async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
 
 
 async def collect(
-    session: Session, robot: str, into: Folder, ahead: float, progress: Callable[[int], None]
+    session: SshSession, robot: str, into: CollectionFolder, ahead: float, progress: Callable[[int], None]
 ) -> Collected:
     """Fetch one robot's traces and log into the folder. Raises HostError, CannotCollect, OSError.
 
@@ -194,7 +194,7 @@ def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
             )
 
 
-async def _recognise_current(session: Session, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
+async def _recognise_current(session: SshSession, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
     """Rename the current trace of an earlier collection if it has become a numbered part on the host.
 
     Returns the number of bytes that were fetched to find out.
@@ -225,7 +225,7 @@ def _number(name: str) -> int:
     return int(number) if dash and number.isdecimal() else 0
 
 
-async def _fetch(session: Session, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
+async def _fetch(session: SshSession, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
     """Complete the local copy of a file up to `size` bytes; return the number of bytes fetched.
 
     Raises CannotCollect when the local file is not a beginning of the file on the host.
@@ -255,7 +255,7 @@ async def _fetch(session: Session, robot: str, path: Path, size: int, progress: 
     return fetched
 
 
-async def _is_continued(session: Session, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
+async def _is_continued(session: SshSession, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
     """Return whether a file of `size` bytes on the host continues the file `path`, and the bytes fetched.
 
     Only the last OVERLAP bytes of the local file are compared.
@@ -270,7 +270,7 @@ async def _is_continued(session: Session, robot: str, name: str, path: Path, siz
         return file.read(length) == data, length
 
 
-async def _bytes(session: Session, robot: str, name: str, offset: int, length: int) -> bytes:
+async def _bytes(session: SshSession, robot: str, name: str, offset: int, length: int) -> bytes:
     answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
     if len(answer.data) != length:
         raise CannotCollect(
@@ -284,7 +284,7 @@ def _other(path: Path) -> CannotCollect:
     return CannotCollect(f"{path} is of another recording than the robot's file of the same name", help)
 
 
-async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -> int:
+async def _fetch_log(session: SshSession, robot: str, into: CollectionFolder, ahead: float) -> int:
     """Append a robot's new log lines, with times by this computer's clock.
 
     Return the number of bytes written.

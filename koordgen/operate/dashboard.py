@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.estop import Fleet, Place
-from koordgen.operate.status import Asked, ask_one, odd_releases
+from koordgen.operate.estop import Place, StoppableFleet
+from koordgen.operate.status import StatusAnswer, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one status request to a robot to the next
 WITHIN = 0.5  # seconds that a robot has to answer a request
 
-OnAnswer = Callable[[int, Asked], None]
+OnAnswer = Callable[[int, StatusAnswer], None]
 
 
 class Poller:
@@ -32,10 +32,10 @@ class Poller:
     Several threads call `on_answer`.
     """
 
-    def __init__(self, fleet: Fleet, key: bytes | None, on_answer: OnAnswer) -> None:
+    def __init__(self, fleet: StoppableFleet, key: bytes | None, on_answer: OnAnswer) -> None:
         self._fleet, self._key, self._on_answer = fleet, key, on_answer
         self._over = threading.Event()
-        self._last: dict[int, Asked] = {}  # last answer of each robot that has answered
+        self._last: dict[int, StatusAnswer] = {}  # last answer of each robot that has answered
         self._threads = [
             threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet.places))
         ]
@@ -74,11 +74,11 @@ class Facts(Node):
     plain: JSON-like values: obstacles, world, and the target of each robot.
     """
 
-    fleet: Fleet
+    fleet: StoppableFleet
     plain: Mapping[str, Any]
 
 
-def built_facts(fleet: Fleet, path: Path) -> Facts:
+def built_facts(fleet: StoppableFleet, path: Path) -> Facts:
     """Return the facts in the robots' settings, from a folder of `koordgen build` or of a simulated run.
 
     A robot that is named only in the settings of other robots is listed with port 0.
@@ -96,4 +96,4 @@ def built_facts(fleet: Fleet, path: Path) -> Facts:
         return Facts(fleet, {})
     ordered = tuple([places.get(name, Place(name, "", 0)) for name in names])
     plain = {"obstacles": found[0].get("obstacles", [])}
-    return Facts(Fleet(ordered, fleet.application, fleet.key, fleet.folder), plain)
+    return Facts(StoppableFleet(ordered, fleet.application, fleet.key, fleet.folder), plain)

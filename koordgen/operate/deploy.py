@@ -17,7 +17,7 @@ from typing import Any
 
 from koordgen.lang.node import Node
 from koordgen.operate.host_tool_archive import archive
-from koordgen.operate.hosts import Answer, Host, HostError, Options, Session, Sessions, owner, sessions
+from koordgen.operate.hosts import Answer, Host, HostError, Options, Sessions, SshSession, owner, sessions
 from koordgen.operate.release import (
     REQUIREMENTS,
     Bundles,
@@ -109,7 +109,7 @@ class Phases:
     async def phase(
         self,
         name: str,
-        ask: Callable[[Session], Awaitable[Any]],
+        ask: Callable[[SshSession], Awaitable[Any]],
         among: Collection[Host] | None = None,
         patient: bool = False,
     ) -> dict[Host, Any]:
@@ -125,7 +125,7 @@ class Phases:
     async def attempt(
         self,
         name: str,
-        ask: Callable[[Session], Awaitable[Any]],
+        ask: Callable[[SshSession], Awaitable[Any]],
         among: Collection[Host] | None = None,
         patient: bool = False,
     ) -> tuple[dict[Host, Any], list[HostError]]:
@@ -209,14 +209,14 @@ async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Ans
     first, *rest = sorted(each.host.login.text for each in phases.hosts)
     by_text = {each.host.login.text: each.host for each in phases.hosts}
 
-    async def lock(session: Session) -> Answer:
+    async def lock(session: SshSession) -> Answer:
         return await session.call("lock", owner=owner(), what=what)
 
     await phases.phase("lock", lock, [by_text[first]])
     if rest:
         await phases.phase("lock", lock, [by_text[text] for text in rest])
 
-    async def inspect(session: Session) -> Answer:
+    async def inspect(session: SshSession) -> Answer:
         before = time.time()
         answer = await session.call("inspect")
         _refuse_state(session.host, answer, before, time.time(), service)
@@ -256,7 +256,7 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
         return
     deployed = [host for host, answer in inspected.items() if answer["deployment"]["confirmed"]]
 
-    async def look(session: Session) -> None:
+    async def look(session: SshSession) -> None:
         try:
             confirmed = inspected[session.host]["deployment"]["confirmed"]
             document = (await session.call("release", id=confirmed))["release"]
@@ -287,7 +287,7 @@ async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: B
     folder = None if built.wheels == "index" else built.folder / built.wheels
     fetched: dict[Any, asyncio.Future[WheelSet]] = {}
 
-    async def fetch(session: Session) -> WheelSet:
+    async def fetch(session: SshSession) -> WheelSet:
         texts = [built.bundles[robot][REQUIREMENTS].decode() for robot in session.host.robots]
         wanted = "".join(dict.fromkeys(line for text in texts for line in text.splitlines(keepends=True)))
         try:
@@ -318,7 +318,7 @@ async def _send(
             packed[names] = list(batches(contents))
         return packed[names]
 
-    async def send(session: Session) -> None:
+    async def send(session: SshSession) -> None:
         host, wheels = session.host, sets[session.host]
         objects = objects_of(bundles, host.robots)
         listed = list(wheels.digests.items()) if wheels else []
@@ -339,7 +339,7 @@ async def _send(
     await phases.phase("send", send)
 
 
-async def _send_key(session: Session, key: bytes | None) -> None:
+async def _send_key(session: SshSession, key: bytes | None) -> None:
     if key is not None:
         await session.call("key", key, id=key_id(key))
 
@@ -407,7 +407,7 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
         inspected = await _begin(phases, "rollback")
         name = _common_release(inspected, to)
 
-        async def check(session: Session) -> None:
+        async def check(session: SshSession) -> None:
             # the deployment already checked that the bundles load
             await session.call("verify", id=name, load=False)
             document = (await session.call("release", id=name))["release"]
@@ -469,7 +469,7 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, show: Show) -> D
         files: dict[Host, FileMap] = {host: answer["files"] for host, answer in present.items()}
         name, parts = parts_of(_fleetwide_of(next(iter(documents.values())), key_id(new)), files, entries)
 
-        async def stage(session: Session) -> None:
+        async def stage(session: SshSession) -> None:
             await _send_key(session, new)
             part = parts[session.host]
             await session.call("stage", release=part.document, files=part.files)
@@ -481,7 +481,7 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, show: Show) -> D
     return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
-async def _present(session: Session, inspected: Answer) -> Answer:
+async def _present(session: SshSession, inspected: Answer) -> Answer:
     """Return the confirmed release of a host.
 
     Raises HostError if the host has no release, or a release of other robots.

@@ -23,7 +23,7 @@ import yaml
 from koordgen.fleet.robots import control_port, parse_address
 from koordgen.lang.node import Node
 from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
-from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
+from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, StopAnswer, StopOrder, decode, encode
 
 BY_HAND = "stop these robots by hand now: by remote control, by kill switch, or by cutting their power"
 NO_ANSWER = "no answer"
@@ -71,7 +71,7 @@ class BadAddress(CannotStop):
     """Raised if an address from the command line is not HOST:PORT."""
 
 
-class Fleet(Node):
+class StoppableFleet(Node):
     """Robots to be stopped, and the data that authenticate the stop.
 
     places: control ports of the robots.
@@ -86,7 +86,7 @@ class Fleet(Node):
     folder: Path = Path()
 
 
-def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
+def find_fleet(path: Path, warn: Callable[[str], None]) -> StoppableFleet:
     """Return the robots of a fleet file, or of a folder that `build` wrote. Raises CannotStop.
 
     If the fleet file cannot be parsed, all addresses in its text and all robots of the last build are returned.
@@ -97,7 +97,7 @@ def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
     try:
         text = path.read_bytes().decode("utf-8", "replace")
         fleet = read_fleet(text)
-        return Fleet(fleet.places, fleet.application, fleet.key, path.parent)
+        return StoppableFleet(fleet.places, fleet.application, fleet.key, path.parent)
     except OSError as error:
         trouble = CannotStop(f"{path}: {error.strerror or error}")
     except CannotStop as error:
@@ -112,11 +112,11 @@ def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
     sources += [f"those of the last build, {built[0]}"] if built and more else []
     warn(f"warning: {trouble}; calling {' and '.join(sources)}")
     if scanned.places or built is None:
-        return Fleet((*scanned.places, *more), scanned.application, scanned.key, path.parent)
-    return Fleet(more, built[1].application, built[1].key, path.parent)
+        return StoppableFleet((*scanned.places, *more), scanned.application, scanned.key, path.parent)
+    return StoppableFleet(more, built[1].application, built[1].key, path.parent)
 
 
-def read_fleet(text: str) -> Fleet:
+def read_fleet(text: str) -> StoppableFleet:
     """Return the entries of a fleet file that are needed to stop its robots. Raises CannotStop."""
     try:
         top = yaml.safe_load(text)
@@ -127,7 +127,7 @@ def read_fleet(text: str) -> Fleet:
     if not isinstance(robots, list) or not robots:
         raise CannotStop("the fleet file lists no robots")
     application, key = top.get("application_id"), top.get("key")
-    return Fleet(
+    return StoppableFleet(
         tuple(_place(i, robot if isinstance(robot, dict) else {}) for i, robot in enumerate(robots)),
         application if isinstance(application, int) and 0 <= application <= 65535 else 0,
         "" if top.get("insecure") is True else key if isinstance(key, str) else "fleet.key",
@@ -140,7 +140,7 @@ _ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\baddress\b)")
 _VALUE = r"\b{}\s*:\s*['\"]?([^\s,'\"{{}}]+)"
 
 
-def scan_fleet(text: str) -> Fleet:
+def scan_fleet(text: str) -> StoppableFleet:
     """Return the robots whose addresses occur in a text that need not be valid YAML.
 
     The result is like that of `read_fleet`, but its `places` are empty if the text contains no address.
@@ -156,7 +156,7 @@ def scan_fleet(text: str) -> Fleet:
                 places.append(place)
     application = next(_values(text, "application_id"), "0")
     insecure = next(_values(text, "insecure"), "") == "true"
-    return Fleet(
+    return StoppableFleet(
         tuple(places),
         int(application) if application.isdecimal() and int(application) <= 65535 else 0,
         "" if insecure else next(_values(text, "key"), "fleet.key"),
@@ -167,7 +167,7 @@ def _values(text: str, key: str) -> Iterator[str]:
     return (found[1] for found in re.finditer(_VALUE.format(key), text))
 
 
-def _last_build(folder: Path) -> tuple[Path, Fleet] | None:
+def _last_build(folder: Path) -> tuple[Path, StoppableFleet] | None:
     """Return the latest build in `build/`, beside the fleet file or in the working directory.
 
     Returns None if there is no build.
@@ -185,7 +185,7 @@ def _folders(place: Path) -> list[Path]:
     return []
 
 
-def _built(folder: Path, nobody: CannotStop) -> Fleet:
+def _built(folder: Path, nobody: CannotStop) -> StoppableFleet:
     """Return the robots of a build folder, or the one robot of a robot's folder.
 
     Raises `nobody` if there is no robot.
@@ -201,7 +201,7 @@ def _built(folder: Path, nobody: CannotStop) -> Fleet:
             key = "" if settings["insecure"] is True else str(settings["key_file"])
     if not places:
         raise nobody
-    return Fleet(tuple(places), application, key, folder)
+    return StoppableFleet(tuple(places), application, key, folder)
 
 
 def _place(pid: int, robot: dict[str, Any]) -> Place:
@@ -212,7 +212,9 @@ def _place(pid: int, robot: dict[str, Any]) -> Place:
     return Place(str(robot.get("name", f"robot {pid}")), host, port)
 
 
-def find_key(fleet: Fleet, path: str | None, key_path: str | None, warn: Callable[[str], None]) -> bytes | None:
+def find_key(
+    fleet: StoppableFleet, path: str | None, key_path: str | None, warn: Callable[[str], None]
+) -> bytes | None:
     """Return the fleet's key; None for a fleet without a key. Raises CannotStop.
 
     The key is read from `key_path`, else from the fleet's folder, else from the folder of the fleet file `path`, else
@@ -256,7 +258,7 @@ class Stopping:
     def datagram(self, now: float) -> bytes:
         if self._offer is None or now - self._offered > STALE_OFFER:
             return encode(Ask(self._application, self._nonce), self._key)
-        return encode(Stop(self._nonce, self._offer.challenge), self._key)
+        return encode(StopOrder(self._nonce, self._offer.challenge), self._key)
 
     def receive(self, datagram: bytes, now: float) -> bool:
         """Return whether the answer makes progress, so that the next `datagram` should be sent at once."""
@@ -266,7 +268,7 @@ class Stopping:
                 if further:
                     self._offer, self._offered, self.robot = offer, now, offer.robot
                 return further
-            case Stopped(nonce, _, phase) if nonce == self._nonce:
+            case StopAnswer(nonce, _, phase) if nonce == self._nonce:
                 self.phase = phase or "stopping"
                 return True
         return False
@@ -285,7 +287,7 @@ def stop_fleet(
     places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
     if wrong := [place.name for place in places if not place.port]:
         raise BadAddress(f"--address {wrong[0]}: not HOST:PORT")
-    fleet = Fleet((), 0, "fleet.key")
+    fleet = StoppableFleet((), 0, "fleet.key")
     if path is not None:
         try:
             fleet = find_fleet(Path(path), warn)

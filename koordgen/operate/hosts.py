@@ -131,7 +131,7 @@ def owner() -> str:
     return f"{user}@{socket.gethostname()}"
 
 
-class Session:
+class SshSession:
     """SSH session with the tool on one host. Concurrent calls are sent one after another."""
 
     def __init__(
@@ -254,7 +254,7 @@ _SHELL = "`ssh HOST true` must print nothing: remove all output from the host's 
 class Sessions(Node):
     """Sessions with the hosts that were reached (in the fleet file's order), and failures of the other hosts."""
 
-    reached: tuple[Session, ...]
+    reached: tuple[SshSession, ...]
     failed: tuple[HostError, ...]
 
     async def call(self, verb: str, **arguments: Any) -> tuple[dict[Host, Answer], list[HostError]]:
@@ -264,7 +264,7 @@ class Sessions(Node):
         """
         return await self.each(lambda session: session.call(verb, **arguments))
 
-    async def each(self, ask: Callable[[Session], Awaitable[Any]]) -> tuple[dict[Host, Any], list[HostError]]:
+    async def each(self, ask: Callable[[SshSession], Awaitable[Any]]) -> tuple[dict[Host, Any], list[HostError]]:
         """Run `ask` for all hosts that were reached, in parallel; return results by host, and failures."""
         results = await asyncio.gather(*map(ask, self.reached), return_exceptions=True)
         found: dict[Host, Any] = {}
@@ -290,10 +290,10 @@ async def sessions(hosts: Iterable[Host], options: Options, tool: bytes) -> Asyn
     hosts = tuple(hosts)
     async with AsyncExitStack() as stack:
         opened = await asyncio.gather(*(_open(host, options, tool) for host in hosts), return_exceptions=True)
-        reached = [each for each in opened if isinstance(each, Session)]
+        reached = [each for each in opened if isinstance(each, SshSession)]
         stack.push_async_callback(_close_all, reached)
         for each in opened:
-            if not isinstance(each, (Session, HostError)):
+            if not isinstance(each, (SshSession, HostError)):
                 raise each
         pings = [asyncio.create_task(session.keep_alive()) for session in reached]
         try:
@@ -304,7 +304,7 @@ async def sessions(hosts: Iterable[Host], options: Options, tool: bytes) -> Asyn
             await asyncio.gather(*pings, return_exceptions=True)
 
 
-async def _close_all(opened: Sequence[Session]) -> None:
+async def _close_all(opened: Sequence[SshSession]) -> None:
     await asyncio.gather(*(session.close() for session in opened))
 
 
@@ -319,13 +319,13 @@ def require_asyncssh() -> None:
         raise NoHosts(f"the Python package {missing} is missing", pip_install("'koordgen[deploy]'"), False) from None
 
 
-async def _open(host: Host, options: Options, tool: bytes) -> Session:
+async def _open(host: Host, options: Options, tool: bytes) -> SshSession:
     """Connect to a host and start its tool. Raises HostError."""
     connection = await _connect(host, options)
     try:
         digest = sha256(tool).hexdigest()
         process = await connection.create_process(_command(host, digest, len(tool)), encoding=None)
-        session = Session(host, connection, process)
+        session = SshSession(host, connection, process)
         async with asyncio.timeout(START_TIMEOUT):
             answer = await session.exchange(b"", "at its start")
         if answer.get("upload"):

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.hosts import HostError, Sessions, SshSession
 
 ASKED = 5  # number of requests for a host's clock; the answer with the shortest round trip is used
 EVERY = 0.3  # seconds between two requests for new lines
@@ -49,7 +49,7 @@ def offset_of(samples: Iterable[tuple[float, float, float]]) -> Offset:
     return Offset(clock - (sent + received) / 2, (received - sent) / 2)
 
 
-async def clock_offset(session: Session, now: Callable[[], float] = time.time) -> Offset:
+async def clock_offset(session: SshSession, now: Callable[[], float] = time.time) -> Offset:
     """Measure the offset of a host's clock from this computer's clock. Raises HostError."""
     samples = []
     for _ in range(ASKED):
@@ -103,7 +103,7 @@ class Reader:
     The function `reader_of` makes a reader.
     """
 
-    def __init__(self, session: Session, offset: Offset) -> None:
+    def __init__(self, session: SshSession, offset: Offset) -> None:
         self.session = session
         self._offset = offset
         self._next: dict[str, float] = {}  # robot -> time of the robot's last line, by the host's clock
@@ -122,7 +122,7 @@ class Reader:
         return [Line(float(at) - self._offset.ahead, robot, str(text)) for at, text in answer["lines"]]
 
 
-async def reader_of(session: Session) -> Reader:
+async def reader_of(session: SshSession) -> Reader:
     """Measure the offset of a host's clock, and return a reader of its robots' log lines.
 
     Raises HostError.
@@ -154,7 +154,7 @@ async def show_lines(
     made, failed = await sessions.each(reader_of)
     for error in (*sessions.failed, *failed):
         lost(error)
-    readers: dict[Session, Reader] = {reader.session: reader for reader in made.values()}
+    readers: dict[SshSession, Reader] = {reader.session: reader for reader in made.values()}
     for line in merged(_by_robot(await ask(lambda reader: reader.last(count)))):
         show(line)
     follower = Follower()

@@ -15,7 +15,7 @@ from koordgen.operate.hosts import Host, HostError, Sessions
 STOP_WITHIN = 30.0  # longest time until an agent must end after SIGTERM, in seconds
 
 
-class Refused(Exception):
+class ServiceRefused(Exception):
     """Raised if no agent was started.
 
     The message names the robots and the reason; `help` says what to do.
@@ -72,16 +72,16 @@ def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
     pending = {host: each["pending"]["id"] for host, each in deployments.items() if each["pending"]}
     if pending:
         named = "; ".join(f"{', '.join(host.robots)}: {id_[:8]}" for host, id_ in pending.items())
-        raise Refused(
+        raise ServiceRefused(
             f"a release is not confirmed yet ({named})", f"wait for the deployment to end, or deploy again: {deploy}"
         )
     without = [robot for host, each in deployments.items() if not each["confirmed"] for robot in host.robots]
     if without:
-        raise Refused(f"there is no release on {', '.join(without)}", deploy)
+        raise ServiceRefused(f"there is no release on {', '.join(without)}", deploy)
     releases: dict[str, list[str]] = {}
     for host, each in deployments.items():
         releases.setdefault(each["confirmed"], []).extend(host.robots)
     if len(releases) > 1:
         named = "; ".join(f"{id_[:8]} on {', '.join(robots)}" for id_, robots in releases.items())
-        raise Refused(f"the robots have different releases: {named}", deploy)
+        raise ServiceRefused(f"the robots have different releases: {named}", deploy)
     return next(iter(releases))

@@ -17,10 +17,10 @@ from contextlib import suppress
 from typing import Any
 
 from koordgen.lang.node import Node, replace
-from koordgen.operate.estop import Fleet, Place
+from koordgen.operate.estop import Place, StoppableFleet
 from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
-from koordgen.runtime.ops.status import Asking
+from koordgen.runtime.ops.status import StatusRequest
 
 ANSWER_TIMEOUT = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
 _REPEAT = 0.05  # seconds between two requests to one robot
@@ -29,7 +29,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-class Asked(Node):
+class StatusAnswer(Node):
     """Answer of one robot.
 
     place: address and port to which the request was sent.
@@ -46,12 +46,12 @@ class Asked(Node):
     host: Installed | None = None
 
 
-def ask_all(fleet: Fleet, key: bytes | None, timeout: float = ANSWER_TIMEOUT) -> list[Asked]:
+def ask_all(fleet: StoppableFleet, key: bytes | None, timeout: float = ANSWER_TIMEOUT) -> list[StatusAnswer]:
     """Ask all robots in parallel for at most `timeout` seconds.
 
     Return the answers in the order of the fleet file.
     """
-    answers = [Asked(place, None, timeout, "no answer") for place in fleet.places]
+    answers = [StatusAnswer(place, None, timeout, "no answer") for place in fleet.places]
     began = time.monotonic()
 
     def ask(index: int) -> None:
@@ -65,18 +65,18 @@ def ask_all(fleet: Fleet, key: bytes | None, timeout: float = ANSWER_TIMEOUT) ->
     return list(answers)
 
 
-def ask_one(place: Place, application: int, key: bytes | None, began: float, timeout: float) -> Asked:
+def ask_one(place: Place, application: int, key: bytes | None, began: float, timeout: float) -> StatusAnswer:
     """Ask one robot repeatedly until it answers, or `timeout` seconds have passed since `began`.
 
     `began` is a monotonic time.
     """
     if not place.port:
-        return Asked(place, None, 0.0, "the fleet file has no address for the robot")
+        return StatusAnswer(place, None, 0.0, "the fleet file has no address for the robot")
     try:
         family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
-        return Asked(place, None, 0.0, f"no address: {error}")
-    asking, note = Asking(application, key, os.urandom(NONCE)), "no answer"
+        return StatusAnswer(place, None, 0.0, f"no address: {error}")
+    asking, note = StatusRequest(application, key, os.urandom(NONCE)), "no answer"
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         with suppress(OSError):
             asker.connect(address)
@@ -95,12 +95,12 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, tim
                 time.sleep(_REPEAT)
     after = time.monotonic() - began
     if asking.answer is None:
-        return Asked(place, None, after, note)
+        return StatusAnswer(place, None, after, note)
     name = asking.answer.get("robot")
-    return Asked(place, asking.answer, after, "" if name == place.name else f"it says that it is {name}")
+    return StatusAnswer(place, asking.answer, after, "" if name == place.name else f"it says that it is {name}")
 
 
-def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
+def _listen(asker: socket.socket, asking: StatusRequest, until: float) -> None:
     """Receive one robot's answer until it is complete or the next request is due.
 
     Raises TimeoutError at `until`.
@@ -111,7 +111,9 @@ def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
             return
 
 
-def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed: Mapping[str, str]) -> list[Asked]:
+def with_hosts(
+    answers: Sequence[StatusAnswer], found: Mapping[str, Installed], failed: Mapping[str, str]
+) -> list[StatusAnswer]:
     """Return the answers, completed for robots that did not answer.
 
     Their answers get the state of their host (`found`), or the failure of their host (`failed`).
@@ -126,14 +128,14 @@ def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed:
     ]
 
 
-def release_of(asked: Asked) -> str:
+def release_of(asked: StatusAnswer) -> str:
     """Return the release that a robot runs, or would run if it were started; empty if unknown."""
     if asked.report is not None:
         return str(asked.report.get("release", ""))
     return asked.host.release if asked.host is not None else ""
 
 
-def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
+def odd_releases(answers: Sequence[StatusAnswer]) -> dict[str, str]:
     """Return robot -> release for the robots whose release differs from the release of most robots.
 
     A release may be running or installed. The result is empty when all releases are equal. A fleet with several
@@ -150,7 +152,7 @@ def _odd(releases: Mapping[str, str]) -> dict[str, str]:
     return {name: release for name, release in releases.items() if release != counted[0][0]}
 
 
-def to_json(answers: Sequence[Asked]) -> str:
+def to_json(answers: Sequence[StatusAnswer]) -> str:
     """Return all answers as one JSON document."""
     robots = [
         {
@@ -167,7 +169,7 @@ def to_json(answers: Sequence[Asked]) -> str:
     return json.dumps({"robots": robots, "odd_releases": odd_releases(answers)}, indent=2)
 
 
-def table(answers: Sequence[Asked]) -> str:
+def table(answers: Sequence[StatusAnswer]) -> str:
     """Return a table with a line for each robot, and a last line for robots with a different release."""
     rows = [_COLUMNS, *(_row(a) for a in answers)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
@@ -178,7 +180,7 @@ def table(answers: Sequence[Asked]) -> str:
     return "\n".join(lines)
 
 
-def _row(asked: Asked) -> tuple[str, ...]:
+def _row(asked: StatusAnswer) -> tuple[str, ...]:
     report = asked.report
     if report is None:
         return _silent_row(asked)
@@ -201,7 +203,7 @@ def _row(asked: Asked) -> tuple[str, ...]:
     )
 
 
-def _silent_row(asked: Asked) -> tuple[str, ...]:
+def _silent_row(asked: StatusAnswer) -> tuple[str, ...]:
     """Return the row of a robot whose agent gave no answer.
 
     The row shows the answer of the robot's host if the host was asked.

@@ -43,7 +43,7 @@ class Vehicle:
 
 
 @dataclass(slots=True)
-class Asked:
+class SentCommand:
     """Command that was sent, and is sent again until its effect is seen."""
 
     times: int  # number of times that the command was sent
@@ -67,7 +67,7 @@ class Link:
         self._greeted = -math.inf
         self._other = -math.inf  # time of the last message of another autopilot that may be the robot's
         self.rival = -math.inf  # time of the last heartbeat of another ground station with the agent's system id
-        self._asked: dict[int, Asked] = {}
+        self._asked: dict[int, SentCommand] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")
         self.rejected = self._framer.rejected
         self.unsent = 0
@@ -187,17 +187,17 @@ class Link:
         if not self._transport.send(frame):
             self.unsent += 1
 
-    def ask(self, now: float, command: int, *params: float, every: float = 1.0) -> Asked:
+    def ask(self, now: float, command: int, *params: float, every: float = 1.0) -> SentCommand:
         """Send a command, and send it again in calls that come `every` seconds later. Unused params are zero."""
         asked = self._asked.get(command)
         if asked is None:
-            asked = self._asked[command] = Asked(0, -math.inf)
+            asked = self._asked[command] = SentCommand(0, -math.inf)
         if now - asked.at >= every and self.vehicle is not None:
             self._command(command, min(asked.times, 255), *params)
             asked.times, asked.at = asked.times + 1, now
         return asked
 
-    def asked(self, command: int) -> Asked | None:
+    def asked(self, command: int) -> SentCommand | None:
         """Return the pending command with this number, or None."""
         return self._asked.get(command)
 

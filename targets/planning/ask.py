@@ -63,7 +63,7 @@ def make(name: str, world: World) -> Planner:
     return planner
 
 
-class Asked:
+class PlannerJudge:
     """Judge that calls a planner and checks its paths. The creation may raise BadPlanner.
 
     `answer` raises no exception of the planner."""

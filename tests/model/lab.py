@@ -23,7 +23,7 @@ from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.messages import HardState, Vote
 from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.bounds import Fixed
 from koordgen.runtime.vehicle.platform import Sensed
 
@@ -258,7 +258,7 @@ class Fleet:
         for final in self.finals:
             self._counted(final)
 
-    def _final(self, pid: int, record: Record) -> None:
+    def _final(self, pid: int, record: RoundRecord) -> None:
         if record.effects is not None:
             final = Final(pid, cast(int, record.effects.locals["events"]), record.round)
             twice = [f for f in self.finals if (f.pid, f.number) == (pid, final.number) and f.round != record.round]

@@ -18,7 +18,7 @@ from benchmarks.fixtures.deployed import Deployed, deployed, place, state
 from koordgen.cli.base import building
 from koordgen.operate import host_tool_archive
 from koordgen.operate.host_tool_archive import archive
-from koordgen.operate.hosts import Answer, Session, sessions
+from koordgen.operate.hosts import Answer, SshSession, sessions
 
 FIRST: set[str | None] = set()  # the release with which each test begins
 ROBOTS = {"alice": "a", "bert": "b", "cleo": "c", "dora": "c"}
@@ -307,30 +307,30 @@ def test_an_interrupt_within_phase_two_comes_too_late(standing: Deployed, capfd:
 @contextmanager
 def interrupt_at(verb: str) -> Iterator[None]:
     """Interrupt this process, as Ctrl-C does, when the host of bert is asked `verb`."""
-    call = Session.call
+    call = SshSession.call
 
-    async def interrupting(session: Session, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
+    async def interrupting(session: SshSession, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
         if asked == verb and "bert" in session.host.robots:
             os.kill(os.getpid(), signal.SIGINT)
         return await call(session, asked, data, **arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Session, "call", interrupting)
+        patch.setattr(SshSession, "call", interrupting)
         yield
 
 
 @contextmanager
 def cut_before(fleet: Deployed, verb: str) -> Iterator[None]:
     """Cut the link to the host of bert as soon as it is asked `verb`."""
-    call = Session.call
+    call = SshSession.call
 
-    async def cutting(session: Session, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
+    async def cutting(session: SshSession, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
         if asked == verb and "bert" in session.host.robots:
             fleet.ssh.hosts["b"].cut()
         return await call(session, asked, data, **arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Session, "call", cutting)
+        patch.setattr(SshSession, "call", cutting)
         yield
 
 

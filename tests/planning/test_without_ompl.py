@@ -14,7 +14,7 @@ from koordgen.runtime.values.points import Point, distance
 from targets.car.planning import ask as car
 from targets.car.planning.planner import segments
 from targets.planning import own_trees
-from targets.planning.ask import Asked, BadPlanner
+from targets.planning.ask import BadPlanner, PlannerJudge
 from targets.planning.exact import solid_distance
 from targets.planning.world import Path, Scene, World
 from tests.planning.test_contract import ARENA, CLEARANCE, GOAL, KEPT, RADIUS, START, WALL, keeps
@@ -35,7 +35,7 @@ def no_ompl(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def planned(name: str, seed: int, *obstacles: Block) -> Path:
     world = World(ARENA, obstacles, CLEARANCE, RADIUS, seed=seed, iterations=2000)
-    return Asked(name, world).answer(START, GOAL, Scene(), 5.0)[0]
+    return PlannerJudge(name, world).answer(START, GOAL, Scene(), 5.0)[0]
 
 
 @pytest.mark.parametrize("name", ["rrt", "rrt-smoothed"])
@@ -62,7 +62,7 @@ def test_a_car_finds_its_way_around_a_wall() -> None:
         assert not collisions(place, segments(scenes.curve(answer)))
 
 
-@pytest.mark.parametrize("asked", [Asked, car.CarJudge])
-def test_rrt_star_is_refused_and_said_why(asked: type[Asked | car.CarJudge]) -> None:
+@pytest.mark.parametrize("asked", [PlannerJudge, car.CarJudge])
+def test_rrt_star_is_refused_and_said_why(asked: type[PlannerJudge | car.CarJudge]) -> None:
     with pytest.raises(BadPlanner, match="needs OMPL, which has no wheel for this Python; use rrt-smoothed"):
         asked("rrt-star", scenes.world())

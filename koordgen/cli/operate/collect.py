@@ -12,7 +12,7 @@ from koordgen.cli.operate.fleet_commands import on_hosts
 from koordgen.cli.operate.ssh import read_fleet, status_of
 from koordgen.fleet.file import Fleet
 from koordgen.lang import resources
-from koordgen.operate.collect import CannotCollect, Collection, Folder, collect_all
+from koordgen.operate.collect import CannotCollect, Collection, CollectionFolder, collect_all
 from koordgen.operate.hosts import HostError
 from koordgen.operate.run_folder import ROBOTS, flown, write_source, write_trace
 from koordgen.runtime.trace.schema import BadTrace
@@ -25,7 +25,7 @@ def collect(options: Namespace) -> int:
     """
     fleet, folder = read_fleet(options.fleet), Path(options.out)
     try:
-        with Folder(folder) as into:
+        with CollectionFolder(folder) as into:
             found = _collected(options, fleet, into)
             _show(fleet, found)
             merged = _merged(folder, fleet, found)
@@ -47,7 +47,7 @@ def collect(options: Namespace) -> int:
     return console.HOLDS
 
 
-def _collected(options: Namespace, fleet: Fleet, into: Folder) -> Collection:
+def _collected(options: Namespace, fleet: Fleet, into: CollectionFolder) -> Collection:
     line, total = ProgressLine(sys.stderr), 0
 
     def progress(count: int) -> None:

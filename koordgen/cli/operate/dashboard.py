@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from koordgen.cli.base import console
 from koordgen.lang import resources
 from koordgen.operate.dashboard import Facts, Poller, built_facts
-from koordgen.operate.dashboard_access import Refused, access
-from koordgen.operate.estop import ANSWER_TIMEOUT, CannotStop, Fleet, find_fleet, find_key, show, stop_all
+from koordgen.operate.dashboard_access import AccessRefused, access
+from koordgen.operate.estop import ANSWER_TIMEOUT, CannotStop, StoppableFleet, find_fleet, find_key, show, stop_all
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def dashboard(options: Namespace) -> int:
         key = find_key(found, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
-    except Refused as error:
+    except AccessRefused as error:
         raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
     facts = _facts(found, options.fleet)
     sys.path.insert(0, str(resources.targets().parent))
@@ -82,7 +82,7 @@ def _stream(header: Header, port: int) -> FoxgloveServer:
     return server
 
 
-def _facts(fleet: Fleet, path: str) -> Facts:
+def _facts(fleet: StoppableFleet, path: str) -> Facts:
     """Return the facts of a fleet file that the map shows: geofence, obstacles, world, targets.
 
     If the file has errors, a warning is printed, and the map shows only the robots.
@@ -105,7 +105,7 @@ def _facts(fleet: Fleet, path: str) -> Facts:
     return Facts(fleet, plain)
 
 
-def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
+def _stop(fleet: StoppableFleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
     """Return a function that stops the fleet and prints the result on this terminal."""
 
     def stop() -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from koordgen.operate.examination import examine, table, to_json, worst
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import HostError, Sessions, sessions
 from koordgen.operate.logs import Line, show_lines
-from koordgen.operate.services import Done, Refused
+from koordgen.operate.services import Done, ServiceRefused
 from koordgen.operate.services import start as start_agents
 from koordgen.operate.services import stop as stop_agents
 
@@ -33,7 +33,7 @@ def start(options: Namespace) -> int:
     fleet = read_fleet(options.fleet)
     try:
         done = on_hosts(options, fleet, _chosen(fleet, options.robots), start_agents)
-    except Refused as error:
+    except ServiceRefused as error:
         raise console.Failure(console.WRONG, str(error), error.help) from None
     except HostError as error:
         raise console.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None

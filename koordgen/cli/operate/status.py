@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from koordgen.cli.base import console
 from koordgen.operate.estop import CannotStop, find_fleet, find_key
-from koordgen.operate.status import Asked, ask_all, odd_releases, table, to_json, with_hosts
+from koordgen.operate.status import StatusAnswer, ask_all, odd_releases, table, to_json, with_hosts
 
 if TYPE_CHECKING:
     from koordgen.operate.hosts import Host
@@ -41,7 +41,7 @@ def status(options: Namespace) -> int:
         time.sleep(max(0.0, began + _EVERY - time.monotonic()))
 
 
-def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
+def _ask_hosts(options: Namespace, answers: list[StatusAnswer]) -> list[StatusAnswer]:
     """Return the robots' answers, or their hosts' answers over SSH for robots that did not answer.
 
     A host can answer only if the fleet file names it.
@@ -55,7 +55,7 @@ def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
     from koordgen.operate.hosts import NoHosts, sessions
     from koordgen.operate.installed import installed
 
-    async def ask() -> list[Asked]:
+    async def ask() -> list[StatusAnswer]:
         async with sessions(hosts, connection(options), archive()) as opened:
             found, failed = await installed(opened)
         return with_hosts(answers, found, {robot: error.message for robot, error in failed.items()})
@@ -88,7 +88,7 @@ def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
     return hosts_of(fleet, named)
 
 
-def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
+def _verdict(options: Namespace, answers: Sequence[StatusAnswer]) -> int:
     if odd := odd_releases(answers):
         help = "build once with one fleet file, and copy every robot's bundle; `koordgen deploy` does both"
         raise console.Failure(_silent_status(answers), f"different release from most robots: {', '.join(odd)}", help)
@@ -102,7 +102,7 @@ def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
     return console.HOLDS
 
 
-def _silent_status(answers: Sequence[Asked]) -> int:
+def _silent_status(answers: Sequence[StatusAnswer]) -> int:
     """Return the exit status for different releases or missing answers.
 
     It is SURROUNDINGS if neither a robot nor its host answered, else WRONG.
@@ -110,5 +110,5 @@ def _silent_status(answers: Sequence[Asked]) -> int:
     return console.SURROUNDINGS if any(each.report is None and each.host is None for each in answers) else console.WRONG
 
 
-def _names(answers: Sequence[Asked]) -> str:
+def _names(answers: Sequence[StatusAnswer]) -> str:
     return ", ".join(each.place.name for each in answers)

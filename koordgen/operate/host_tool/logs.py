@@ -23,7 +23,7 @@ _MOST_BYTES = 16 * 1024 * 1024  # largest part of a trace file in one answer, in
 Line = tuple[float, str]
 
 
-class Log:
+class AgentLog:
     """Log of one robot. Each line begins with its Unix time; times increase.
 
     If the disk is full, lines are lost, and their number is logged later. No exception is raised.

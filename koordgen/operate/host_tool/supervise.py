@@ -22,7 +22,7 @@ from .deployment import Boot
 from .entry import command
 from .folder import Folder, ToolError, make_folder, read_json, write_json
 from .lock import try_lock
-from .logs import Log
+from .logs import AgentLog
 from .service import NO_RESTART, WATCHDOG
 
 # first pause before a restart, in seconds, and longest pause; each pause is twice the pause before
@@ -73,12 +73,12 @@ def supervise(folder: Folder, boot: Boot, robot: str) -> int:
     if lock is None:
         raise ToolError("running", f"robot {robot}: a supervisor of its agent runs already")
     write_pid(lock)
-    with closing(Log(folder.log(robot))) as log:
+    with closing(AgentLog(folder.log(robot))) as log:
         return _Supervisor(folder, boot, robot, log).run()
 
 
 class _Supervisor:
-    def __init__(self, folder: Folder, boot: Boot, robot: str, log: Log) -> None:
+    def __init__(self, folder: Folder, boot: Boot, robot: str, log: AgentLog) -> None:
         self._folder, self._robot, self._log = folder, robot, log
         self._command = command(folder, boot, "launch", robot)
         self._stops = 0  # number of signals received that request the end
@@ -128,7 +128,7 @@ class _Supervisor:
                 return agent.wait()
 
     def _attend(self, agent: subprocess.Popen[bytes], notices: socket.socket) -> None:
-        """Log the agent's output, watch the agent and forward signals.
+        """AgentLog the agent's output, watch the agent and forward signals.
 
         Return when the agent has ended and its output is logged.
         """

@@ -35,7 +35,7 @@ from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.values.points import transmissible
 from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
-from koordgen.runtime.vehicle.safety import Guard, own_position
+from koordgen.runtime.vehicle.safety import SafetyGuard, own_position
 from koordgen.runtime.vehicle.stall import Stalls
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
@@ -94,7 +94,7 @@ class Agent:
         )
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._positions = tuple(p.name for p in program.ports if p.is_position)
-        self._guard = Guard(settings.safety, settings.geofence, self._positions)
+        self._guard = SafetyGuard(settings.safety, settings.geofence, self._positions)
         self._unready: str | None = None  # reason why the vehicle does not allow an event
         self._rounds: Rounds | None = None
         self._driver: Driver | None = None

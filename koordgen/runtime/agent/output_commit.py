@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from koordgen.runtime.program.program import Effects, Life
 from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 
 MOST_WAITING = 64  # number of waiting records from which on records of rounds without an event are dropped
 AHEAD = 3  # number of rounds after the last committed round in which events may run if no output waits
@@ -22,7 +22,7 @@ AHEAD = 3  # number of rounds after the last committed round in which events may
 
 @dataclass(slots=True)
 class _Waiting:
-    record: Record
+    record: RoundRecord
     lock: int  # lock of a transaction whose result is unknown; -1: any other record
     life: Life | None
 
@@ -59,7 +59,7 @@ class OutputCommit:
         """
         return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
-    def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
+    def add(self, record: RoundRecord, lock: int = -1, life: Life | None = None) -> None:
         """Add the record of a round. `life`: private state after the round's event; None without an event."""
         waiting = _Waiting(record, lock, life)
         if len(self._waiting) < MOST_WAITING or life is not None:
@@ -100,7 +100,7 @@ class OutputCommit:
             return True
         return first.lock < 0 and _is_committed(first.record, state)
 
-    def ready(self, state: StateMachine | None) -> list[Record]:
+    def ready(self, state: StateMachine | None) -> list[RoundRecord]:
         """Remove and return the committed records, by ascending round.
 
         If `state` is None (no store), only records before the first record with an event are returned."""
@@ -117,7 +117,7 @@ class OutputCommit:
                 del self.lives[0]
         return found
 
-    def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
+    def settle(self, acted: int) -> tuple[Life | None, list[RoundRecord]]:
         """Decide all waiting records after a rejoin.
 
         acted: round of this robot's last event that counts for the fleet.
@@ -145,7 +145,7 @@ class OutputCommit:
         self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
 
 
-def _is_committed(record: Record, state: StateMachine | None) -> bool:
+def _is_committed(record: RoundRecord, state: StateMachine | None) -> bool:
     """Return whether the round of a record is committed, so that no later view can discard it.
 
     For an event without effects, the round before must be committed, because the event has read the store after that

@@ -48,7 +48,7 @@ from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program, wrong_first_value
 from koordgen.runtime.program.property import Properties, without_properties
 from koordgen.runtime.program.runner import EndedAtOnce, Interrupting
-from koordgen.runtime.trace.parts import MEGABYTE, Parts, set_aside
+from koordgen.runtime.trace.parts import MEGABYTE, TraceFileParts, set_aside
 from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
@@ -335,7 +335,7 @@ def _open_trace(settings: Settings) -> Trace:
     path, limit = Path(settings.trace).resolve(), settings.trace_limit
     try:
         if limit is not None and (path.is_file() or not path.exists()):  # only regular files are split into parts
-            return Trace(Parts(path, settings.robot, round(limit * MEGABYTE)), warn)
+            return Trace(TraceFileParts(path, settings.robot, round(limit * MEGABYTE)), warn)
         set_aside(path)
         return Trace(path.open("wb"), warn)  # `_run` closes the trace
     except OSError as error:

@@ -35,7 +35,7 @@ from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Observation
-from koordgen.runtime.trace.writer import Observe, Record
+from koordgen.runtime.trace.writer import Observe, RoundRecord
 from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
@@ -315,7 +315,7 @@ class Rounds:
         if reason is not None:
             self.counters.skipped += 1
             self._close()
-            self._wait(Record(self.round, now, into, sensors, None, skipped=reason))
+            self._wait(RoundRecord(self.round, now, into, sensors, None, skipped=reason))
             return
         state = self._replica.state
         assert state is not None
@@ -363,7 +363,7 @@ class Rounds:
             self.counters.discarded += fault.reason == LATE
         skipped = None if effects is not None else NO_EVENT if fault is None else FAULT
         calls = self._body.calls()
-        record = Record(self.round, now, into, frame.sensors, frame, result.event, effects, skipped, fault, calls)
+        record = RoundRecord(self.round, now, into, frame.sensors, frame, result.event, effects, skipped, fault, calls)
         self._wait(record, result.lock, life)
 
     def _close(self, effects: Effects | None = None, lock: int = -1) -> Life | None:
@@ -390,7 +390,7 @@ class Rounds:
         self._driver.run()
         return life
 
-    def _wait(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
+    def _wait(self, record: RoundRecord, lock: int = -1, life: Life | None = None) -> None:
         """Queue the record of a round until the round is committed."""
         if self._restored is not None:
             record, self._restored = replace(record, restored=self._restored), None

@@ -17,7 +17,7 @@ from koordgen.runtime.program.program import Effects
 from koordgen.runtime.program.property import (
     UNKNOWN,
     Assumption,
-    Bound,
+    BoundName,
     Known,
     Outcome,
     Properties,
@@ -36,9 +36,9 @@ from koordgen.runtime.trace.monitored import (
     Observation,
     usable,
 )
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
-from koordgen.runtime.vehicle.safety import GO, Verdict
+from koordgen.runtime.vehicle.safety import GO, SafetyVerdict
 
 SHARE = 0.03  # share of the agent's CPU time for the evaluation of properties that are only logged
 LONGEST_WAIT = 50  # after this number of rounds a property is evaluated regardless of the CPU budget
@@ -74,7 +74,7 @@ class Monitors:
             int, tuple[MonitoredProperty, str | None]
         ] = {}  # line of a false loop invariant -> its property and event
         self._off: list[MonitoredProperty] = []
-        self._last: Record | None = None
+        self._last: RoundRecord | None = None
         self._actuators: Mapping[str, Any] | None = None  # values after the last recorded round
         self._found = found
         if found is not None:
@@ -189,7 +189,7 @@ class Monitors:
                 known.each[name].values = row
         return changed
 
-    def hear(self, record: Record) -> None:
+    def hear(self, record: RoundRecord) -> None:
         """Evaluate the assumptions and contracts on the record of a committed round.
 
         The agent passes the records in the order of their rounds."""
@@ -225,7 +225,7 @@ class Monitors:
                 watched.true = round_
                 self._become(watched, "held", f"{where} ran through again", time)
 
-    def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
+    def _assume(self, before: RoundRecord, after: RoundRecord, actuators: Mapping[str, Any]) -> None:
         """Evaluate the assumptions on one step of the environment.
 
         The step leads from the state after the event of round `before` to the sensor values of round `after`."""
@@ -243,7 +243,7 @@ class Monitors:
         self._judge(self._assumptions, self._step, self._assumption_time, after.time, after.round, 0)
         self._assumption_time.end()
 
-    def _contract(self, record: Record) -> None:
+    def _contract(self, record: RoundRecord) -> None:
         """Update the verdicts on contracts of extern functions after a round.
 
         A contract that an event broke is violated. It holds again when the same event runs without a fault."""
@@ -314,12 +314,12 @@ class Monitors:
             self.verdict = self._demanded()
             self._report(change)
 
-    def _demanded(self) -> Verdict:
+    def _demanded(self) -> SafetyVerdict:
         acting = [watched for watched in self.watched if watched.acting]
         for watched in acting:
             if watched.action in FOR_GOOD:
-                return Verdict("stop", f"{watched.word} is violated: {watched.why}")
-        return Verdict("hold", f"{acting[0].word} is violated") if acting else GO
+                return SafetyVerdict("stop", f"{watched.word} is violated: {watched.why}")
+        return SafetyVerdict("hold", f"{acting[0].word} is violated") if acting else GO
 
     def report(self) -> dict[str, Any]:
         """Return the number of properties with each verdict, and the violated properties, for the status report."""
@@ -353,7 +353,7 @@ def evidence(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1)
     """Return the robots that a false formula is about, and a text with its quantified names and the values it read.
 
     `why`: end of the text. `pid`: robot of an assumption, or -1."""
-    bound = [step for step in trail if isinstance(step, Bound)]
+    bound = [step for step in trail if isinstance(step, BoundName)]
     robots = [names[b.value] for b in bound if b.robot and _is_pid(b.value, names)]
     if pid >= 0:
         robots = [names[pid]]
@@ -368,7 +368,7 @@ def _is_pid(value: Any, names: tuple[str, ...]) -> bool:
     return isinstance(value, int) and 0 <= value < len(names)
 
 
-def _bound(bound: Bound, names: tuple[str, ...]) -> str:
+def _bound(bound: BoundName, names: tuple[str, ...]) -> str:
     name = f" ({names[bound.value]})" if bound.robot and _is_pid(bound.value, names) else ""
     return f"{bound.name} = {shown(bound.value)}{name}"
 

@@ -34,7 +34,7 @@ class NotCompiled(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Library:
+class CompiledLibrary:
     """Description of how to compile and check a library.
 
     identity: everything that the library is made from. Another identity or another type of machine needs another
@@ -164,7 +164,7 @@ def load(
         return copy, flags
 
     identity = b"\0".join([text, *(flag.encode() for flag in flags)])
-    return Library(source.stem, identity, write, prove, TIMEOUT).load(cache)
+    return CompiledLibrary(source.stem, identity, write, prove, TIMEOUT).load(cache)
 
 
 class Compiled:

@@ -21,7 +21,7 @@ from importlib.util import find_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from koordgen.runtime.native.loader import Library, NotCompiled, can_keep
+from koordgen.runtime.native.loader import CompiledLibrary, NotCompiled, can_keep
 
 ROOT = Path(__file__).resolve().parents[3]  # the folder that contains the package koordgen
 MODULES = (
@@ -115,8 +115,10 @@ class _Finder:
         return spec_from_file_location(name, self._library, loader=ExtensionFileLoader(name, self._library))
 
 
-def _library(modules: Sequence[str]) -> Library:
-    return Library("protocol", _identity(modules), partial(_translate, modules), partial(_prove, modules), TIMEOUT)
+def _library(modules: Sequence[str]) -> CompiledLibrary:
+    return CompiledLibrary(
+        "protocol", _identity(modules), partial(_translate, modules), partial(_prove, modules), TIMEOUT
+    )
 
 
 def _identity(modules: Sequence[str]) -> bytes:

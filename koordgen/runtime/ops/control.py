@@ -22,8 +22,8 @@ from koordgen.runtime.ops.orders import (
     Offer,
     Order,
     StatusPart,
-    Stop,
-    Stopped,
+    StopAnswer,
+    StopOrder,
     decode,
     encode,
 )
@@ -126,7 +126,7 @@ class Control:
                     answer = "another application"
                 case Ask(_, nonce):
                     answer = Offer(nonce, self._pid, self._challenge(now), self._robot)
-                case Stop(nonce, challenge):
+                case StopOrder(nonce, challenge):
                     answer = self._stop(nonce, challenge, phase, now)
                 case AskStatus(_, _, challenge, _) if flaw := self._flaw(challenge, now):
                     answer = flaw
@@ -163,13 +163,13 @@ class Control:
             return "an old challenge"
         return ""
 
-    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
+    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> StopAnswer | str:
         """Handle a stop command and return the answer. Only the first stop command has an effect."""
         if flaw := self._flaw(challenge, now):
             return flaw
         if self._stopped_at is None:
             self._stopped_at = now
-        return Stopped(nonce, self._pid, phase if phase in ("stopping", "stopped") else "stopping")
+        return StopAnswer(nonce, self._pid, phase if phase in ("stopping", "stopped") else "stopping")
 
     def _part(self, nonce: bytes, part: int, report: Report) -> StatusPart | str:
         if nonce not in self._status:

@@ -13,7 +13,7 @@ from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Calls, Effects, Life
 from koordgen.runtime.replication.views import describe
 from koordgen.runtime.trace.monitored import FOR_GOOD, Change
-from koordgen.runtime.trace.writer import Observe, Record, Trace
+from koordgen.runtime.trace.writer import Observe, RoundRecord, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.stall import State
 
@@ -63,7 +63,7 @@ class Journal:
         self._last = ""  # last log line
         self._measured = 0.0
         self.recent = Recent()
-        self.untold: list[Record] = []  # records of committed rounds that wait to be written
+        self.untold: list[RoundRecord] = []  # records of committed rounds that wait to be written
         self.round = 0
 
     def phase(self, phase: str, detail: str) -> None:
@@ -160,7 +160,7 @@ class Journal:
         self.measure(rejected, self.untold[-1].time)
         self.untold.clear()
 
-    def observe(self, record: Record, counters: Mapping[str, int]) -> None:
+    def observe(self, record: RoundRecord, counters: Mapping[str, int]) -> None:
         """Record a committed round. `counters`: all counters of the runtime; they are used only if `traces` is True."""
         if self._trace.open:
             changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}

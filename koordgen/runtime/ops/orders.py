@@ -49,13 +49,13 @@ class Offer:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StopOrder:
     nonce: bytes
     challenge: bytes
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
+class StopAnswer:
     """Answer to Stop: the robot is stopping safely (`phase` is "stopping"), or has stopped ("stopped")."""
 
     nonce: bytes
@@ -81,7 +81,7 @@ class StatusPart:
     data: bytes  # piece of the status report's JSON text
 
 
-Order = Ask | Offer | Stop | Stopped | AskStatus | StatusPart
+Order = Ask | Offer | StopOrder | StopAnswer | AskStatus | StatusPart
 
 _ASK = struct.Struct("!BBH8s")
 _OFFER = struct.Struct(f"!BB8sB{CHALLENGE}s{_NAME}s")
@@ -100,9 +100,9 @@ def encode(order: Order, key: bytes | None) -> bytes:
             payload = _ASK.pack(f, 0, application, nonce)
         case Offer(nonce, pid, challenge, robot):
             payload = _OFFER.pack(f, 1, nonce, pid, challenge, _cut(robot))
-        case Stop(nonce, challenge):
+        case StopOrder(nonce, challenge):
             payload = _STOP.pack(f, 2, nonce, challenge)
-        case Stopped(nonce, pid, phase):
+        case StopAnswer(nonce, pid, phase):
             payload = _STOPPED.pack(f, 3, nonce, pid, _cut(phase))
         case AskStatus(application, nonce, challenge, part):
             payload = _ASK_STATUS.pack(f, _KIND_OF_ASK_STATUS, application, nonce, challenge, part)
@@ -148,15 +148,15 @@ def _offer(payload: bytes) -> Offer:
     return Offer(nonce, pid, challenge, _text(robot))
 
 
-def _stopped(payload: bytes) -> Stopped:
+def _stopped(payload: bytes) -> StopAnswer:
     _, _, nonce, pid, phase = _STOPPED.unpack_from(payload)
-    return Stopped(nonce, pid, _text(phase))
+    return StopAnswer(nonce, pid, _text(phase))
 
 
 _READERS: dict[int, Callable[[bytes], Order]] = {
     0: lambda payload: Ask(*_ASK.unpack_from(payload)[2:]),
     1: _offer,
-    2: lambda payload: Stop(*_STOP.unpack_from(payload)[2:]),
+    2: lambda payload: StopOrder(*_STOP.unpack_from(payload)[2:]),
     3: _stopped,
     _KIND_OF_ASK_STATUS: lambda payload: AskStatus(*_ASK_STATUS.unpack_from(payload)[2:]),
 }

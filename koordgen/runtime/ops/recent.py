@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 
 MOST_LINES, LONGEST_LINE, LINES_BYTES = 32, 200, 2500
 MOST_ROUNDS, LONGEST_OUTCOME, ROUNDS_BYTES = 64, 100, 2000
@@ -39,7 +39,7 @@ class Recent:
         self._count += 1
         self._lines.append((self._count, time, round_, level, text[:LONGEST_LINE]))
 
-    def round(self, record: Record) -> None:
+    def round(self, record: RoundRecord) -> None:
         """Add the result of a round, and the shared variables that the round's event wrote."""
         if record.fault is not None:
             outcome, detail = "fault", str(record.fault)

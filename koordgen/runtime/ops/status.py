@@ -17,7 +17,7 @@ from koordgen.runtime.ops.orders import LONG, NONCE, Ask, AskStatus, Offer, Stat
 REPEAT, TIMEOUT = 0.1, 2.0  # seconds until a request is sent again, and until the command gives up
 
 
-class Asking:
+class StatusRequest:
     """Request of one agent's status report. The caller sends all `datagrams` and passes each answer to `receive`.
 
     This is repeated until `answer` is set. The first datagram requests the challenge that the other datagrams contain.
@@ -63,7 +63,7 @@ class Asking:
 def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
     """Return the status report of the agent with these settings on this host, or None if it does not answer."""
     family, address = address_of(settings)
-    asking = Asking(settings.application_id, key, os.urandom(NONCE))
+    asking = StatusRequest(settings.application_id, key, os.urandom(NONCE))
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         asker.settimeout(REPEAT)
         end = time.monotonic() + TIMEOUT

@@ -43,7 +43,7 @@ class Unknown(Exception):
         self.robot = robot
 
 
-class Bound(NamedTuple):
+class BoundName(NamedTuple):
     """Value of a name that a quantifier binds. `robot`: True if the value is a robot's pid."""
 
     name: str
@@ -59,7 +59,7 @@ class Read(NamedTuple):
     value: Any
 
 
-Trail = list[Bound | Read]
+Trail = list[BoundName | Read]
 
 
 class Each(Generic[T]):
@@ -163,7 +163,7 @@ class Known:
             try:
                 if not body(value):
                     if trail is not None:
-                        trail.insert(mark, Bound(name, value, robots))
+                        trail.insert(mark, BoundName(name, value, robots))
                     return False
             except Unknown as found:
                 unknown = unknown or found
@@ -218,7 +218,7 @@ class Property:
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
+class GoalCall:
     """Pattern of a call in an assumption with goals.
 
     `port`: name of the callable port. `arguments`: number of arguments. `goals`: index of an argument -> name of the
@@ -240,7 +240,7 @@ class Assumption:
     line: int
     holds: Callable[..., bool]
     reads: tuple[str, ...]
-    goals: tuple[Asking, ...] = ()
+    goals: tuple[GoalCall, ...] = ()
     screening: Callable[[Any], Any] | None = None
 
     def holds_of_calls(self, known: Known) -> bool:
@@ -252,7 +252,7 @@ class Assumption:
         return any(True for _ in _asked_for(self.goals, known.asked, {}))
 
 
-def _asked_for(patterns: tuple[Asking, ...], asked: Calls, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _asked_for(patterns: tuple[GoalCall, ...], asked: Calls, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
     if not patterns:
         yield known
         return

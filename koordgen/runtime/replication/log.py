@@ -70,7 +70,7 @@ def _merged(before: Entry, entry: Entry) -> Entry | None:
     return msgspec.structs.replace(before, round=entry.round, stopped=entry.stopped)
 
 
-class Log:
+class EntryLog:
     """Log of one robot's entries.
 
     held: last round up to which all entries have arrived. Some of them may have been dropped since.

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from koordgen.runtime.net.wire import Entry, View
-from koordgen.runtime.replication.log import Log, is_silent, shortened
+from koordgen.runtime.replication.log import EntryLog, is_silent, shortened
 
 FAR = 2**53  # a round number that no mission reaches
 
@@ -59,7 +59,7 @@ class Schedule:
                 return shortened(entry, view.since - 1) if began and is_silent(entry) else None
         return None
 
-    def skip_absences(self, logs: Sequence[Log]) -> None:
+    def skip_absences(self, logs: Sequence[EntryLog]) -> None:
         """Skip, in each log, the rounds in which the log's author was no member, up to the latest view."""
         for pid, log in enumerate(logs):
             for first, last in self._absences(pid):

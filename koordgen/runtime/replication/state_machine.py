@@ -12,7 +12,7 @@ from typing import Any
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.wire import Entry, Snapshot, View
 from koordgen.runtime.replication.apply import Store, arbitrate, merge
-from koordgen.runtime.replication.log import Log, Logged
+from koordgen.runtime.replication.log import EntryLog, Logged
 from koordgen.runtime.replication.schedule import Schedule
 
 AHEAD = 8  # largest number of rounds by which a peer's clock may be ahead of this robot's clock
@@ -42,7 +42,7 @@ class StateMachine:
         self._n = layout.n_sys
         self._schedule = Schedule(view)
         self.view = view  # latest view that this robot has adopted
-        self.logs = [Log(applied) for _ in range(self._n)]
+        self.logs = [EntryLog(applied) for _ in range(self._n)]
         self.applied = applied  # last round that `shared` contains; `shared` is S_{applied + 1}
         self.committed = min(applied, view.since - 1)  # last committed round: no later view can leave it out
         self.settled = 0  # last round up to which every member holds all entries

@@ -52,7 +52,7 @@ def set_aside(path: Path) -> None:
         path.rename(path.with_stem(f"{path.stem}-{number}"))
 
 
-class Parts:
+class TraceFileParts:
     """Writer of the current part of a trace. `limit`: most bytes of all parts of the trace together.
 
     The limit holds after every write, unless the current part alone exceeds it. A part contains at most its initial

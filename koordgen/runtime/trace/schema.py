@@ -57,7 +57,7 @@ class RobotName(msgspec.Struct, frozen=True):
     target: str  # target of the robot, such as quad
 
 
-class Shared(msgspec.Struct, frozen=True):
+class SharedVariable(msgspec.Struct, frozen=True):
     """A shared variable of the program."""
 
     name: str  # name of the variable in the program
@@ -65,7 +65,7 @@ class Shared(msgspec.Struct, frozen=True):
     type: str  # type of the variable, written in Koord
 
 
-class Box(msgspec.Struct, frozen=True):
+class BoxRecord(msgspec.Struct, frozen=True):
     """An axis-parallel box."""
 
     lo: Vector  # lower corner [m]
@@ -96,10 +96,10 @@ class MarkerList(msgspec.Struct, frozen=True):
     radius: float = 0.3  # distance within which a robot has reached an element [m]
 
 
-class World(msgspec.Struct, frozen=True):
+class WorldRecord(msgspec.Struct, frozen=True):
     """World of the fleet: arena, floor, wind and markers, from the fleet file."""
 
-    arena: Box | None = None  # box in which the fleet moves; null: not given
+    arena: BoxRecord | None = None  # box in which the fleet moves; null: not given
     floor_friction: float = 1.0  # factor of the usual friction between robots and the floor
     wind: Wind = Wind()  # wind in the arena
     markers: tuple[Marker, ...] = ()  # markers with fixed places
@@ -135,8 +135,8 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     min_separation: float = 0.0  # required smallest distance between two robots; 0: no requirement [m]
     geofence: tuple[Vector, Vector] | None = None  # lower and upper corner of the geofence; null: no geofence [m]
     obstacles: tuple[Obstacle, ...] = ()  # obstacles in the form of a robot's settings; records number them from 0
-    world: World = World()  # arena, floor, wind and markers
-    shared: tuple[Shared, ...] = ()  # shared variables of the program
+    world: WorldRecord = WorldRecord()  # arena, floor, wind and markers
+    shared: tuple[SharedVariable, ...] = ()  # shared variables of the program
     records: dict[str, tuple[tuple[str, str], ...]] = {}  # record types: name -> names and types of the fields
     followed: str = ""  # the run executed a counterexample, a "run" or a "step"; "": it did not
     applications: tuple[str, ...] = ()  # names of the applications in this trace; today only `app`
@@ -145,7 +145,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     given: tuple[str, ...] | UnsetType = UNSET  # only of a counterexample: params whose values the user gave
 
 
-class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
+class PoseRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
     """Position and heading of a robot.
 
     In a simulation this is the true pose, `pose_rate` times a second; in a flight the measured pose, once a round."""
@@ -167,7 +167,7 @@ class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
     pid: int = -1  # only in a merged trace: number of the robot
 
 
-class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
+class InitRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
     """Run of `init` on a robot."""
 
     sensors: Values = {}  # sensor values that `init` read
@@ -241,7 +241,7 @@ class Checkpoint(msgspec.Struct, frozen=True, tag_field="kind", tag="checkpoint"
     application: str = ""  # name of the application whose variables these are
 
 
-class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
+class ViewRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
     """Beginning of a new membership view."""
 
     number: RoundNumber  # number of the view, from 0
@@ -252,7 +252,7 @@ class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
     pid: int = -1  # only in a merged trace: number of the robot
 
 
-class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
+class LogLine(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
     """Log line of a robot's agent."""
 
     level: str = "info"  # level of the log line: info, warning, error
@@ -273,7 +273,7 @@ class Stall(msgspec.Struct, frozen=True, tag_field="kind", tag="stall"):
     pid: int = -1  # only in a merged trace: number of the robot
 
 
-class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
+class StreamLine(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
     """Line of text that the program wrote to a stream."""
 
     port: str  # name of the stream
@@ -313,7 +313,7 @@ class PeerQuality(TypedDict, total=False):
     repeats: int  # number of the peer's datagrams that were repetitions
 
 
-class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
+class MetricsRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
     """Quality of a robot's links and rounds, recorded every 10 s."""
 
     late_ms: Mapping[str, float] = {}  # percentiles of `late` of the rounds: p50, p99, max [ms]
@@ -393,7 +393,19 @@ class _Kind(msgspec.Struct):
 
 
 Mark = Violation | Verdict | Cause | Moved | End
-OfRobot = Pose | Phase | Init | Round | Checkpoint | View | Log | Stall | Stream | Monitor | Metrics
+OfRobot = (
+    PoseRecord
+    | Phase
+    | InitRecord
+    | Round
+    | Checkpoint
+    | ViewRecord
+    | LogLine
+    | Stall
+    | StreamLine
+    | Monitor
+    | MetricsRecord
+)
 TraceRecord = Header | OfRobot | Mark
 KINDS: dict[str, type[msgspec.Struct]] = {str(kind.__struct_config__.tag): kind for kind in TraceRecord.__args__}
 OF_APPLICATIONS = frozenset(kind for kind, type_ in KINDS.items() if "application" in type_.__struct_fields__)

@@ -16,7 +16,7 @@ import msgspec
 
 from koordgen.runtime.program.program import Calls, Effects, Fault, Frame, Life, Program
 from koordgen.runtime.trace import schema
-from koordgen.runtime.trace.parts import Parts
+from koordgen.runtime.trace.parts import TraceFileParts
 from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
 
 if TYPE_CHECKING:  # a real import would be a cycle: `monitored` imports this module
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # a real import would be a cycle: `monitored` imports this mo
 STARTING = "starting"  # first phase of every trace
 
 
-class Record(msgspec.Struct, frozen=True):
+class RoundRecord(msgspec.Struct, frozen=True):
     """Record of one round for the trace and for monitors. Times are seconds of the robot's local clock."""
 
     round: int
@@ -41,7 +41,7 @@ class Record(msgspec.Struct, frozen=True):
     restored: Life | None = None  # state with which the robot continued, if it rejoined before this round
 
 
-Observe = Callable[[Record], None]
+Observe = Callable[[RoundRecord], None]
 
 
 class Trace:
@@ -49,7 +49,7 @@ class Trace:
 
     `warn` is called with a message if the trace ends because of an error."""
 
-    def __init__(self, file: IO[bytes] | Parts | None, warn: Callable[[str], None]) -> None:
+    def __init__(self, file: IO[bytes] | TraceFileParts | None, warn: Callable[[str], None]) -> None:
         self._file = file
         self._warn = warn
         self._encoder = msgspec.json.Encoder(enc_hook=repr)
@@ -62,7 +62,7 @@ class Trace:
         self._part = 0
         self._phase = ""
         self._phases: dict[str, schema.Phase] = {}  # first record of each phase except STARTING
-        self._view: schema.View | None = None
+        self._view: schema.ViewRecord | None = None
         self._life: Life | None = None  # private variables after the last recorded round; None: unknown
         self._last = -1  # number of the last recorded round; 0: `init`; -1: none
 
@@ -93,7 +93,7 @@ class Trace:
         self._turn_if_full(time)
         self._recorded, self._life, self._last = {}, after, 0
         self._write(
-            schema.Init(
+            schema.InitRecord(
                 sensors=sensors,
                 locals=after.locals,
                 shared=effects.shared,
@@ -110,12 +110,12 @@ class Trace:
 
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
         """Write the view that begins at round `since`. `members`: each robot's incarnation, -1 for a non-member."""
-        record = schema.View(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
+        record = schema.ViewRecord(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
         self._write_record(record, time)
         self._view = record
 
     def log(self, time: float, level: str, message: str) -> None:
-        self._write_record(schema.Log(level, message, time, LEFT_OUT, LEFT_OUT), time)
+        self._write_record(schema.LogLine(level, message, time, LEFT_OUT, LEFT_OUT), time)
 
     def stall(self, time: float, state: Literal["begins", "goes on", "ends"], why: str, lasted: float) -> None:
         """Write that a stall of the vehicle begins, goes on or ends. `lasted`: seconds since the stall began."""
@@ -125,11 +125,11 @@ class Trace:
         """Write a line of the program's output in a round; round 0 is `init`.
 
         Line and round are in the same part of the trace."""
-        self._write(schema.Stream(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
+        self._write(schema.StreamLine(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
         """Write a snapshot of the quality of the robot's links and rounds."""
-        self._write_record(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
+        self._write_record(schema.MetricsRecord(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
     def monitor(self, change: Change) -> None:
         """Write a change of a monitored property's verdict."""
@@ -139,7 +139,7 @@ class Trace:
         )  # fmt: skip
         self._write_record(record, change.time)
 
-    def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
+    def round(self, record: RoundRecord, clock_bound: float, counters: Mapping[str, int]) -> None:
         """Write one round of the robot.
 
         `clock_bound`: largest error of the robot's fleet time in seconds. `counters`: the counters that changed.
@@ -164,7 +164,7 @@ class Trace:
         self._write(line)
         self._live(record)
 
-    def _live(self, record: Record) -> None:
+    def _live(self, record: RoundRecord) -> None:
         """Update this robot's private variables with the effects of a recorded round."""
         self._last, effects = record.round, record.effects
         life = self._life = record.restored or self._life
@@ -177,7 +177,7 @@ class Trace:
 
         This is never called between the record of a round and the streams of that round."""
         parts = self._file
-        if not isinstance(parts, Parts) or not parts.full:
+        if not isinstance(parts, TraceFileParts) or not parts.full:
             return
         try:
             parts.turn()
@@ -196,7 +196,7 @@ class Trace:
         self._write(schema.Checkpoint(self._last, own, time, LEFT_OUT, LEFT_OUT, self._application))
         parts.began()
 
-    def _changed(self, record: Record) -> dict[str, Any]:
+    def _changed(self, record: RoundRecord) -> dict[str, Any]:
         """Return the shared variables that changed since the last record; a new object counts as a change.
 
         The robot's own slots are left out, because they are recorded with its events. Allwrite variables are included,
@@ -249,7 +249,7 @@ def _restored(life: Life) -> schema.Restored:
     return schema.Restored(life.round, life.locals, life.actuators, life.stopped)
 
 
-def _written(record: Record) -> dict[str, Any]:
+def _written(record: RoundRecord) -> dict[str, Any]:
     """Return the local variables that the event of a round wrote."""
     effects, frame = record.effects, record.frame
     if effects is None or frame is None:

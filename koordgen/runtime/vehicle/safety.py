@@ -18,14 +18,14 @@ from koordgen.runtime.vehicle.platform import Sensed
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class SafetyVerdict:
     """Reaction that the safety layer requires of the agent, with its reason."""
 
     action: Literal["go", "hold", "stop"]
     reason: str = ""
 
 
-GO = Verdict("go")
+GO = SafetyVerdict("go")
 
 
 def inside(box: Box, p: Point) -> bool:
@@ -53,7 +53,7 @@ def own_position(sensed: Sensed, declared: Sequence[str] = ()) -> Point | None:
     return next((place for place in places if isinstance(place, Point)), None)
 
 
-class Guard:
+class SafetyGuard:
     """Safety check of one robot's own position, from the time at which the vehicle is ready.
 
     `declared`: sensors that the program declares as own position."""
@@ -64,7 +64,7 @@ class Guard:
         self._since = math.inf  # time of the first call of `judge`
         self._outside: float | None = None
 
-    def judge(self, sensed: Sensed, now: float) -> Verdict:
+    def judge(self, sensed: Sensed, now: float) -> SafetyVerdict:
         """Return the reaction that the sensor values at local time `now` (seconds) require."""
         self._since = min(self._since, now)
         age = now - (self._since if sensed.time is None else sensed.time)
@@ -72,18 +72,18 @@ class Guard:
         if position is not None and not all(map(math.isfinite, (position.x, position.y, position.z))):
             position, age = None, max(age, now - self._since)
             if age <= self._safety.position_lost:
-                return Verdict("hold", "own position is not finite")
+                return SafetyVerdict("hold", "own position is not finite")
         if age > self._safety.position_lost:
-            return Verdict("stop", f"no own position for {age:.1f} s")
+            return SafetyVerdict("stop", f"no own position for {age:.1f} s")
         if position is None or inside(self._fence, position):
             self._outside = None
         elif self._outside is None:
             self._outside = now
         if self._outside is not None and now - self._outside > self._safety.outside_fence and position is not None:
             where = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
-            return Verdict("stop", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
+            return SafetyVerdict("stop", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
         if age > self._safety.position_stale:
-            return Verdict("hold", f"own position is {age:.1f} s old")
+            return SafetyVerdict("hold", f"own position is {age:.1f} s old")
         return GO
 
 

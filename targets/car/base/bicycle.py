@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class BicycleState:
     """State of the bicycle model, in local ENU."""
 
     x: float  # m
@@ -26,7 +26,7 @@ class State:
         return all(map(math.isfinite, (self.x, self.y, self.yaw, self.speed, self.steering)))
 
 
-def advance(state: State, seconds: float, wheelbase: float) -> State:
+def advance(state: BicycleState, seconds: float, wheelbase: float) -> BicycleState:
     """Return the exact state after driving for `seconds` with constant speed and steering, along a circular arc."""
     travel = state.speed * seconds
     turn = travel * math.tan(state.steering) / wheelbase

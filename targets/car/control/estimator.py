@@ -12,7 +12,7 @@ from collections import deque
 from dataclasses import replace
 
 from koordgen.runtime.values.points import Pose
-from targets.car.base.bicycle import State, advance, turning_radius, wrap
+from targets.car.base.bicycle import BicycleState, advance, turning_radius, wrap
 
 SMOOTHING = 0.056  # seconds, time constant of the correction of position and yaw: a gain of 0.3 at a feed's 50 Hz
 
@@ -39,7 +39,7 @@ class Estimator:
         self._wheelbase = wheelbase
         self._speed_limit = speed_limit
         self._turning_limit = speed_limit / turning_radius(steering_limit, wheelbase)
-        self._state = State(0.0, 0.0, 0.0)
+        self._state = BicycleState(0.0, 0.0, 0.0)
         self._predicted: float | None = None
         self._wheel: tuple[float, float] | None = None  # last measured speed (m/s) and its time
         self._sample: tuple[Pose, float] | None = None  # last accepted sample, and the time of its measurement
@@ -53,7 +53,7 @@ class Estimator:
         self.time: float | None = None
 
     @property
-    def state(self) -> State:
+    def state(self) -> BicycleState:
         """Present estimate of the car's state; its `speed` is measured, its `steering` is the commanded angle."""
         return self._state
 
@@ -84,7 +84,7 @@ class Estimator:
         Return False if the pose is rejected as a jump."""
         state = self._state
         # Extrapolate the measured pose by the motion since its measurement.
-        since = State(pose.position.x, pose.position.y, pose.yaw, state.speed, state.steering)
+        since = BicycleState(pose.position.x, pose.position.y, pose.yaw, state.speed, state.steering)
         here = advance(since, max(0.0, now - measured), self._wheelbase)
         dx, dy, turned = here.x - state.x, here.y - state.y, wrap(here.yaw - state.yaw)
         seconds = math.inf if self.time is None or self._anew else max(0.0, measured - self.time)

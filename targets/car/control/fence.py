@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from koordgen.runtime.config.settings import Box
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.control.mpc import STEP, Command
 
 LAG = 0.1  # seconds until the motor follows a brake command
@@ -26,7 +26,7 @@ def beyond(fence: Box, x: float, y: float) -> float:
     return max(west - x, x - east, south - y, y - north)
 
 
-def stops_inside(fence: Box, state: State, command: Command, deceleration: float, wheelbase: float) -> bool:
+def stops_inside(fence: Box, state: BicycleState, command: Command, deceleration: float, wheelbase: float) -> bool:
     """Return whether the car, after this command, can still brake before it leaves the geofence.
 
     `state.speed` is measured. A car that is already outside may drive if the command takes it no farther out. Return
@@ -40,7 +40,7 @@ def stops_inside(fence: Box, state: State, command: Command, deceleration: float
     return all(beyond(fence, pose.x, pose.y) <= max(0.0, now) for pose in poses)
 
 
-def braked(state: State, command: Command, deceleration: float, wheelbase: float) -> Iterator[State]:
+def braked(state: BicycleState, command: Command, deceleration: float, wheelbase: float) -> Iterator[BicycleState]:
     """Yield the poses of the braking path, 2 or 3 cm apart, until the car stands.
 
     `state.speed` is measured. All numbers must be finite."""

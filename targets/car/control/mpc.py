@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from koordgen.runtime.native.loader import NotCompiled
-from targets.car.base.bicycle import State
+from targets.car.base.bicycle import BicycleState
 from targets.car.control.solver import compiled
 from targets.car.control.solver.fallback import CasadiSolver
 from targets.car.control.solver.model import INPUTS, STEP, STEPS
-from targets.car.control.solver.problem import Limits, Solver
+from targets.car.control.solver.problem import ControlLimits, Solver
 
-__all__ = ["BLIND_STEPS", "STEP", "STEPS", "Command", "Limits", "Mpc"]
+__all__ = ["BLIND_STEPS", "STEP", "STEPS", "Command", "ControlLimits", "Mpc"]
 
 BLIND_STEPS = 5  # control steps without a new plan for which the last plan is used; after that, the car brakes
 LATE = STEP  # seconds; a plan that took longer to compute is discarded, because its initial state is outdated
@@ -39,7 +39,7 @@ class Command:
     steering: float
 
 
-def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
+def choose(limits: ControlLimits, cache: Path | None = None) -> tuple[Solver, str]:
     """Return the C solver and ""; if it cannot be compiled, the CasADi solver and a log line with the reason.
 
     At the first start on a robot, this compiles the solver, which takes some seconds."""
@@ -59,7 +59,7 @@ class Mpc:
     """
 
     def __init__(
-        self, limits: Limits, solver: Solver | None = None, clock: Callable[[], float] = time.perf_counter
+        self, limits: ControlLimits, solver: Solver | None = None, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         self._limits = limits
         self._solve, self.note = (solver, "") if solver is not None else choose(limits)
@@ -72,7 +72,7 @@ class Mpc:
 
     def warm_up(self) -> None:
         """Solve once in advance, because the first solve allocates, and would be too slow for a control step."""
-        self.follow(State(0.0, 0.0, 0.0), [State(0.0, 0.0, 0.0)] * STEPS)
+        self.follow(BicycleState(0.0, 0.0, 0.0), [BicycleState(0.0, 0.0, 0.0)] * STEPS)
         self.reset()
 
     def reset(self) -> None:
@@ -82,7 +82,7 @@ class Mpc:
         self._last = Command(0.0, self._last.steering)
         self.failures = 0
 
-    def follow(self, state: State, reference: Sequence[State]) -> Command:
+    def follow(self, state: BicycleState, reference: Sequence[BicycleState]) -> Command:
         """Return the command of the next control step.
 
         `state`: pose of the car, with the speed and steering commanded last.
@@ -110,7 +110,9 @@ class Mpc:
         self._last = self._within_reach(before, self._plan[0] if self._plan else Command(0.0, before.steering))
         return self._last
 
-    def _attempt(self, state: State, before: Command, reference: Sequence[State]) -> tuple[list[float] | None, str]:
+    def _attempt(
+        self, state: BicycleState, before: Command, reference: Sequence[BicycleState]
+    ) -> tuple[list[float] | None, str]:
         """Return the inputs of a new plan and "", or None and the reason why there is no plan, in words."""
         if not state.finite():
             return None, "the car's state is not finite"

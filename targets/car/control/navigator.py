@@ -10,12 +10,12 @@ import math
 import time
 from collections.abc import Callable
 
-from targets.car.base.bicycle import State
+from targets.car.base.bicycle import BicycleState
 from targets.car.base.settings import CarSettings
-from targets.car.control.mpc import BLIND_STEPS, STEP, Command, Limits, Mpc
+from targets.car.control.mpc import BLIND_STEPS, STEP, Command, ControlLimits, Mpc
 from targets.car.control.tracker import BRAKING, LATERAL, Tracker
 from targets.car.planning.approach import Approach
-from targets.car.planning.avoidance import Avoidance
+from targets.car.planning.avoidance import CarAvoidance
 from targets.car.planning.curves import Curve
 from targets.car.planning.planner import SLIVER, Area, arc, segments
 from targets.car.planning.reasons import NoWay
@@ -82,10 +82,10 @@ class Navigator:
     """Navigator of one car. Positions are those of the middle of the rear axle, metres, local ENU."""
 
     def __init__(
-        self, settings: CarSettings, area: Area, avoidance: Avoidance, clock: Callable[[], float] = time.perf_counter
+        self, settings: CarSettings, area: Area, avoidance: CarAvoidance, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         """Targets are clamped into `area`. `clock` measures the solver's run time."""
-        limits = Limits(
+        limits = ControlLimits(
             settings.wheelbase,
             settings.max_speed,
             settings.max_acceleration,
@@ -150,7 +150,7 @@ class Navigator:
             self.reached = False
             self._near_since = None
 
-    def follow(self, curve: Curve, state: State) -> None:
+    def follow(self, curve: Curve, state: BicycleState) -> None:
         """Follow a planned path to its end, which becomes the target.
 
         A car that rolls against the first gear of the path stops first, and then requests a path from its place."""
@@ -177,7 +177,7 @@ class Navigator:
         self._planned_for = None
         self._last = Command(0.0, self._last.steering)
 
-    def watch(self, state: State, standing: bool, now: float) -> None:
+    def watch(self, state: BicycleState, standing: bool, now: float) -> None:
         """Update `reached`.
 
         The target is reached once the car has stood within the radius for the dwell time. It then stays reached until a
@@ -192,7 +192,7 @@ class Navigator:
             self._near_since, self._near_target = now, self._target
         self.reached = now - self._near_since >= self._settings.reached_dwell
 
-    def step(self, state: State, standing: bool, now: float) -> Command | None:
+    def step(self, state: BicycleState, standing: bool, now: float) -> Command | None:
         """Return the command for the next control step, or None to brake. `state.speed` is measured."""
         self.watch(state, standing, now)
         command = self._drive(state, standing, now)
@@ -206,7 +206,7 @@ class Navigator:
             self.progress = f"driving, but the car has not moved for {now - self._stirred:.0f} s"
         return command
 
-    def _drive(self, state: State, standing: bool, now: float) -> Command | None:
+    def _drive(self, state: BicycleState, standing: bool, now: float) -> Command | None:
         if self._target is None:
             return None
         away = math.dist((state.x, state.y), self._target)
@@ -231,7 +231,7 @@ class Navigator:
         extra = LAG * (state.speed - speed)
         x, y = state.x + extra * math.cos(state.yaw), state.y + extra * math.sin(state.yaw)
         free = self._free(state, standing, now)
-        command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering), free)
+        command = self._tracker.step(BicycleState(x, y, state.yaw, speed, self._last.steering), free)
         if self._tracker.failures > BLIND_STEPS:
             self.progress = f"braking: {self._tracker.trouble}"
             self._no_way.blocked(self._target, f"the controller has no plan: {self._tracker.trouble}")
@@ -242,7 +242,7 @@ class Navigator:
                 self._no_way.found()
         return None if self._tracker.done else command
 
-    def _free(self, state: State, standing: bool, now: float) -> float:
+    def _free(self, state: BicycleState, standing: bool, now: float) -> float:
         """Return how many metres ahead are free of other robots' paths; infinite if they are enough to stop.
 
         A car that stands before another robot's path requests a new path around it every RETRY seconds."""
@@ -281,7 +281,7 @@ class Navigator:
         self._arrived, self._away_since = False, None
         return False
 
-    def _plan(self, state: State, away: float, now: float) -> bool:
+    def _plan(self, state: BicycleState, away: float, now: float) -> bool:
         """Return whether there is a path to follow; request one if needed."""
         target = self._target
         if target is None:
@@ -314,10 +314,10 @@ class Navigator:
             self.progress = "standing until a path is planned"
         return False
 
-    def _gear(self, state: State) -> int:
+    def _gear(self, state: BicycleState) -> int:
         return self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
 
-    def _near(self, state: State, target: tuple[float, float]) -> Curve | None:
+    def _near(self, state: BicycleState, target: tuple[float, float]) -> Curve | None:
         """Return a clear single arc to a near target; None if there is none.
 
         On the last segment towards a moving target, the arc may end beside the target (FOLLOWING): a manoeuvre would be
@@ -332,7 +332,7 @@ class Navigator:
             return None
         return curve if self._avoidance.clear(start, target, curve) else None
 
-    def _answered(self, state: State, away: float, now: float) -> None:
+    def _answered(self, state: BicycleState, away: float, now: float) -> None:
         """Follow the planned path if the planner has answered; report the reason if it found none."""
         answer, target = self._avoidance.answer(), self._asked_for
         if answer is None or target is None:
@@ -361,13 +361,13 @@ class Navigator:
         self._adopt(curve, target)
 
 
-def _rolls_against(state: State, curve: Curve) -> bool:
+def _rolls_against(state: BicycleState, curve: Curve) -> bool:
     """Return whether the car rolls against the first gear of the curve; if so, it must stop before it can follow."""
     first = next((way for _, way in curve.pieces if abs(way) > SLIVER), 0.0)
     return abs(state.speed) > STANDING and state.speed * first < 0
 
 
-def _cornering(limits: Limits, radius: float) -> float:
+def _cornering(limits: ControlLimits, radius: float) -> float:
     """Return the speed (m/s) that the limits allow in a curve of this radius (m)."""
     return min(limits.speed, math.sqrt(LATERAL * limits.acceleration * radius))
 

@@ -11,8 +11,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
-from targets.car.base.bicycle import State, wrap
-from targets.car.control.mpc import STEP, STEPS, Command, Limits, Mpc
+from targets.car.base.bicycle import BicycleState, wrap
+from targets.car.control.mpc import STEP, STEPS, Command, ControlLimits, Mpc
 from targets.car.planning.planner import Segment
 
 LATERAL = 0.6  # share of the acceleration limit that the profile uses for lateral acceleration in a curve
@@ -24,12 +24,12 @@ SLOW = 0.05  # m/s
 LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres behind and ahead of the last station: search range for the present station
 
 
-class Track:
+class TrackedPath:
     """Path segment with a speed profile (m/s, unsigned) over its stations (arc lengths from the start, m).
 
     `station`: the car's present station (m). `error`: the car's distance from the segment (m)."""
 
-    def __init__(self, segment: Segment, limits: Limits) -> None:
+    def __init__(self, segment: Segment, limits: ControlLimits) -> None:
         self.segment = segment
         self._limits = limits
         poses = segment.poses
@@ -53,7 +53,7 @@ class Track:
     def length(self) -> float:
         return self._stations[-1]
 
-    def locate(self, state: State) -> None:
+    def locate(self, state: BicycleState) -> None:
         """Update the car's station. The search covers only places near the last station: a path may cross itself."""
         lo, hi = self.station - LOOK_BACK, self.station + LOOK_AHEAD
         best, self.error = self.station, math.inf
@@ -70,7 +70,7 @@ class Track:
                 best, self.error = begin + along * (end - begin), away
         self.station = best
 
-    def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[State]:
+    def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[BicycleState]:
         """Return the MPC's reference: the desired states after 1 to 20 steps.
 
         The speed starts at `speed` (m/s, signed), grows as the limits allow, and falls so that the car stands before
@@ -91,11 +91,11 @@ class Track:
         i, share = self._place(station)
         return math.sqrt(self._squares[i] + share * (self._squares[i + 1] - self._squares[i]))
 
-    def _state(self, station: float, speed: float, yaw: float) -> State:
+    def _state(self, station: float, speed: float, yaw: float) -> BicycleState:
         i, share = self._place(station)
         a, b = self.segment.poses[i], self.segment.poses[i + 1]
         turned = a.yaw + share * (b.yaw - a.yaw)
-        return State(
+        return BicycleState(
             a.x + share * (b.x - a.x),
             a.y + share * (b.y - a.y),
             yaw + wrap(turned - yaw),
@@ -114,10 +114,10 @@ class Tracker:
 
     `done`: the last segment of the present path is complete. `error`: the car's distance from the path, m."""
 
-    def __init__(self, limits: Limits, mpc: Mpc) -> None:
+    def __init__(self, limits: ControlLimits, mpc: Mpc) -> None:
         self._limits = limits
         self._mpc = mpc
-        self._tracks: list[Track] = []
+        self._tracks: list[TrackedPath] = []
         self._driven = 0.0  # total length (m) of the completed segments
         self.done = True
 
@@ -125,7 +125,7 @@ class Tracker:
         """Replace the path to be followed.
 
         The MPC keeps its plan, because a path that is replanned while the car drives begins like the old path."""
-        self._tracks = [Track(segment, self._limits) for segment in path]
+        self._tracks = [TrackedPath(segment, self._limits) for segment in path]
         self._driven = 0.0
         self.done = not self._tracks
 
@@ -164,7 +164,7 @@ class Tracker:
         """Reason why the MPC had no new plan in the last step, in words; "" if it had one."""
         return self._mpc.trouble
 
-    def step(self, state: State, clear: float = math.inf) -> Command:
+    def step(self, state: BicycleState, clear: float = math.inf) -> Command:
         """Return the command of the next control step. The caller must not call it once `done`.
 
         `state`: pose of the car, with the speed and steering commanded last.

@@ -18,7 +18,7 @@ from targets.car.base.settings import FROM_DRIVE
 from targets.car.drive.watched import Watch, WatchdogProcess
 
 if TYPE_CHECKING:
-    from targets.car.drive.rover import Route
+    from targets.car.drive.rover import ConsoleTransport
 
 BAUD = 115_200
 
@@ -43,7 +43,7 @@ class Links(Protocol):
 
     def serial(self, device: str) -> ByteLink: ...
 
-    def mavlink(self, url: str) -> Route: ...
+    def mavlink(self, url: str) -> ConsoleTransport: ...
 
     def position(self, setting: str) -> DatagramLink: ...
 
@@ -126,7 +126,7 @@ class RealLinks:
     def serial(self, device: str) -> ByteLink:
         return SerialLink(device)
 
-    def mavlink(self, url: str) -> Route:
+    def mavlink(self, url: str) -> ConsoleTransport:
         from targets.mavlink.transport import opened
 
         return opened(url)

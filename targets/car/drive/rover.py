@@ -45,7 +45,7 @@ _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _ROVERS = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 
 
-class Route(Transport, Protocol):
+class ConsoleTransport(Transport, Protocol):
     """MAVLink transport on which the watchdog's process can write, too."""
 
     def way(self) -> Way | None: ...
@@ -54,7 +54,7 @@ class Route(Transport, Protocol):
 class RoverDrive:
     """Drive with an ArduPilot rover: implements `drive.Drive`. `frame`: the fleet's local frame."""
 
-    def __init__(self, settings: CarSettings, transport: Route, watch: Watch, frame: LocalFrame) -> None:
+    def __init__(self, settings: CarSettings, transport: ConsoleTransport, watch: Watch, frame: LocalFrame) -> None:
         self._settings, self._transport, self._watch, self._frame = settings, transport, watch, frame
         self._link = Link(transport)
         self._loop = SpeedLoop(settings.full_speed)

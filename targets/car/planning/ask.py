@@ -21,7 +21,7 @@ from targets.car.planning.search import Search, Task
 from targets.car.planning.shapes import named
 from targets.planning import own_trees
 from targets.planning.ask import NAMES, BadPlanner, finite, within
-from targets.planning.ask import Asked as AskedForPoints
+from targets.planning.ask import PlannerJudge as AskedForPoints
 from targets.planning.limit import Limit
 from targets.planning.pipe import Answer, Question
 from targets.planning.world import World

@@ -13,7 +13,7 @@ import msgspec
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.values.points import Point, transmissible
 from koordgen.runtime.vehicle.platform import Finding, Unready
-from targets.car.base.bicycle import State, wrap
+from targets.car.base.bicycle import BicycleState, wrap
 from targets.car.base.settings import CarSettings
 from targets.car.planning.curves import Curve, Triple
 from targets.car.planning.ground import LEAVING, MARGIN, area, ground
@@ -34,7 +34,7 @@ FIRST, PATIENCE = 0.04, 0.8  # seconds: time limits for shortening a path, and f
 OWN = "rrt-smoothed"  # planner of paths to single targets; the setting `planner` names the program's planner
 
 
-class Avoidance:
+class CarAvoidance:
     """Path planning and path checks of one car. Positions are those of the rear axle's middle, metres, local ENU."""
 
     def __init__(self, settings: Settings, own: CarSettings, planning: MakePlanning) -> None:
@@ -81,7 +81,7 @@ class Avoidance:
         self._others = tuple(paths.values())
         self._paths = {self._names.get(pid, str(pid)): path for pid, path in paths.items()}
 
-    def plan(self, state: State, gear: int, goal: Point, obstacles: Any) -> Path:
+    def plan(self, state: BicycleState, gear: int, goal: Point, obstacles: Any) -> Path:
         """Return a path for the program: points that represent a drivable curve; () if no path was found.
 
         The curve is stored, and driven if the program commands these points."""
@@ -100,7 +100,7 @@ class Avoidance:
     def _unplanned(self, start: Point2, goal: Point, reason: str) -> str:
         return reason if reason in ANOTHERS else self.explained(start, (goal.x, goal.y), reason)
 
-    def planned(self, state: State, points: Path) -> Curve | None:
+    def planned(self, state: BicycleState, points: Path) -> Curve | None:
         """Return the stored curve of these points; None if there is none, or the car is not at its start."""
         curve = self._plans.get(points)
         if curve is None:
@@ -127,7 +127,7 @@ class Avoidance:
         """Admit points that the agent drove to before its restart. Paths to them are planned, so no check is needed."""
         self.refusal, self._admitted = "", points
 
-    def ask(self, state: State, target: Point2, gear: int, arrival: float | None) -> bool:
+    def ask(self, state: BicycleState, target: Point2, gear: int, arrival: float | None) -> bool:
         """Request a path to a target, which `answer` returns later. Return False if no request is possible now."""
         wish = Wish(state.yaw, gear, arrival=arrival, time_limit=PATIENCE)
         start, goal = Point(state.x, state.y, 0.0), Point(target[0], target[1], 0.0)
@@ -154,13 +154,13 @@ class Avoidance:
         seen = named(Scene(others=self._others), ground.body, start[:2], ground.clearance)
         return ground.around(start, target, seen).clear(curve)
 
-    def strayed(self, state: State) -> bool:
+    def strayed(self, state: BicycleState) -> bool:
         """Return whether the car is nearer to an obstacle of the fleet file than half of the clearance.
 
         If it is, a car that has left its path must not drive back to it without a planned path."""
         return self._nearest(state)[0] < self._ground.least
 
-    def ahead(self, state: State, poses: Iterable[State]) -> str:
+    def ahead(self, state: BicycleState, poses: Iterable[BicycleState]) -> str:
         """Return the name of an obstacle of the fleet file that is too near to the car at a pose; "" if there is none.
 
         The first pose with such an obstacle counts. Too near means nearer than both `position_error` (at most half of
@@ -168,7 +168,7 @@ class Avoidance:
         kept = min(self._kept, LEAVING * self._nearest(state)[0])
         return next((name for away, name in map(self._nearest, poses) if away < kept), "")
 
-    def _nearest(self, state: State) -> tuple[float, str]:
+    def _nearest(self, state: BicycleState) -> tuple[float, str]:
         """Distance and name of the nearest obstacle of the fleet file; infinite if no obstacle is near."""
         ground, middle = self._ground, self._ground.middle
         x, y = state.x + middle * math.cos(state.yaw), state.y + middle * math.sin(state.yaw)

@@ -40,7 +40,7 @@ UNKNOWN = 1e6  # metres: initial cost of a cell; every path costs less
 
 
 @dataclass(frozen=True, slots=True)
-class Aim:
+class SearchGoal:
     """Goal of a search: its place, and estimates and curves to it.
 
     `left` estimates the distances (m) from places to the goal. `shots` yields single curves from a pose to the goal."""
@@ -55,7 +55,9 @@ class Lattice:
 
     `wait`: number of turning radii that a pose waits in the queue for each level beyond the first."""
 
-    def __init__(self, start: Triple, radius: float, reverse: bool, terrain: Terrain, aim: Aim, wait: float) -> None:
+    def __init__(
+        self, start: Triple, radius: float, reverse: bool, terrain: Terrain, aim: SearchGoal, wait: float
+    ) -> None:
         self._radius, self._reverse, self._terrain, self._aim, self._wait = (
             radius,
             reverse,

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from targets.car.planning.curves import Curve, Piece, Triple, dubins, reeds_shepp
 from targets.car.planning.field import Field
 from targets.car.planning.ground import PAD, Terrain
-from targets.car.planning.lattice import Aim, Lattice
+from targets.car.planning.lattice import Lattice, SearchGoal
 from targets.car.planning.planner import Area, Point2, price
 from targets.planning import own_trees
 from targets.planning.limit import Limit
@@ -154,7 +154,7 @@ class Search:
             for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
                 yield self._space.curve(at, goal, length)
 
-        aim = Aim(task.goal, Field(task.goal, terrain.cells, terrain.passable()), shots)
+        aim = SearchGoal(task.goal, Field(task.goal, terrain.cells, terrain.passable()), shots)
         reverse = self._space.reverse
         lattices = [Lattice(task.start, self._radius, reverse, terrain, aim, wait).explore() for wait in WAITS]
         for number in count():

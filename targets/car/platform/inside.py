@@ -12,7 +12,7 @@ from koordgen.runtime.vehicle.datagrams import DatagramLink
 from koordgen.runtime.vehicle.simulator_services import Exchange, SimulatorServices, Stream
 from targets.car.base.settings import FROM_DRIVE
 from targets.car.drive.links import ByteLink, Nowhere
-from targets.car.drive.rover import Route
+from targets.car.drive.rover import ConsoleTransport
 from targets.car.drive.watchdog import LAST, LATE, PERIOD
 from targets.car.drive.watched import OFTEN
 from targets.car.platform.platform import Car
@@ -39,7 +39,7 @@ class InsideLinks:
         self._drive = stream.write
         return stream
 
-    def mavlink(self, url: str) -> Route:
+    def mavlink(self, url: str) -> ConsoleTransport:
         exchange: Exchange = self._inside.exchange(url)
         self._drive = exchange.send
         return Direct(exchange)

@@ -28,7 +28,7 @@ from targets.car.control.mpc import STEP, Command
 from targets.car.control.navigator import STANDING, Navigator
 from targets.car.drive.drive import Drive, opened
 from targets.car.drive.links import Links, RealLinks
-from targets.car.planning.avoidance import Avoidance, MakePlanning
+from targets.car.planning.avoidance import CarAvoidance, MakePlanning
 from targets.car.platform.diagnosis import (
     STALE,
     check_drive,
@@ -80,7 +80,7 @@ class Car:
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
         self._route = Route()
-        self._avoidance = Avoidance(settings, own, planning)
+        self._avoidance = CarAvoidance(settings, own, planning)
         self._standstill = Standstill(settings.safety.missed_action)
         self._now = 0.0
         self._started = 0.0

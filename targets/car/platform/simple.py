@@ -25,7 +25,7 @@ from targets.car.platform.platform import Car
 from targets.planning.process import Beside, bounded
 
 
-class Seen(Protocol):
+class CarTruth(Protocol):
     """State of the simulated car: position (m) and velocity (m/s) of the rear axle's middle, yaw (rad); local ENU."""
 
     @property
@@ -41,7 +41,7 @@ class Seen(Protocol):
 class Driver(Protocol):
     """Interface of a simulated car. The car drives on with the last command."""
 
-    def state(self) -> Seen | None:
+    def state(self) -> CarTruth | None:
         """Return the car's state; None if its position is unknown now."""
         ...
 

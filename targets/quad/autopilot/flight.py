@@ -48,7 +48,7 @@ COMMANDS = (
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
 
 
-class Phase(enum.Enum):
+class FlightPhase(enum.Enum):
     """Phases of a flight, in their order."""
 
     CONNECTING = enum.auto()
@@ -94,13 +94,13 @@ class Flight:
         self._landing_seen = False  # whether a heartbeat has shown a landing mode since the agent began to land
         self._grounded: float | None = None  # time since which the landing vehicle seems to be on the ground
         self._taken = False  # whether a pilot or a failsafe has taken over the vehicle
-        self.phase = Phase.CONNECTING
+        self.phase = FlightPhase.CONNECTING
         self._doing = f"waiting for a heartbeat on {url}"
 
     @property
     def progress(self) -> str:
         """Present activity for the log, with the autopilot's reason if it refuses a command."""
-        if self.phase is Phase.STOPPED or self._link.heard is None:
+        if self.phase is FlightPhase.STOPPED or self._link.heard is None:
             return self._doing
         if not self._link.alive(self._now):
             return f"no heartbeat on {self._url}; was {self._doing}"
@@ -116,29 +116,29 @@ class Flight:
             self._telemetry.update(message, now)
             self._review.handle(message)
         self._link.greet(now)
-        if self.phase is not Phase.STOPPED:
+        if self.phase is not FlightPhase.STOPPED:
             self._watch(now)
-        if self.phase is not Phase.CONNECTING:
+        if self.phase is not FlightPhase.CONNECTING:
             self._streams.poll(self._link, self._firmware, now)
         match self.phase:
-            case Phase.CONNECTING:
+            case FlightPhase.CONNECTING:
                 self._connect(now)
-            case Phase.ESTIMATING:
+            case FlightPhase.ESTIMATING:
                 self._estimate(now)
-            case Phase.SWITCHING:
+            case FlightPhase.SWITCHING:
                 self._switch(now)
-            case Phase.ARMING:
+            case FlightPhase.ARMING:
                 self._arm(now)
-            case Phase.CLIMBING:
+            case FlightPhase.CLIMBING:
                 self._climb(now)
-            case Phase.FLYING:
+            case FlightPhase.FLYING:
                 self._fly(now)
-            case Phase.LANDING:
+            case FlightPhase.LANDING:
                 self._land(now)
-            case Phase.STOPPED:
+            case FlightPhase.STOPPED:
                 pass
 
-    def _enter(self, phase: Phase, now: float, progress: str) -> None:
+    def _enter(self, phase: FlightPhase, now: float, progress: str) -> None:
         self.phase, self._since, self._doing = phase, now, progress
         for command in COMMANDS:
             self._link.forget(command)
@@ -151,11 +151,11 @@ class Flight:
         if self._telemetry.restarts != self._restarts:
             self._restarts = self._telemetry.restarts
             self._streams.restart()
-            if self._airborne and self.phase is not Phase.LANDING:
+            if self._airborne and self.phase is not FlightPhase.LANDING:
                 raise Unready("the autopilot restarted in flight")
-            if self.phase in (Phase.ESTIMATING, Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
+            if self.phase in (FlightPhase.ESTIMATING, FlightPhase.SWITCHING, FlightPhase.ARMING, FlightPhase.CLIMBING):
                 self._read_parameters()
-                self._enter(Phase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
+                self._enter(FlightPhase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
 
     def _connect(self, now: float) -> None:
         if self._link.vehicle is None:
@@ -165,7 +165,7 @@ class Flight:
             raise stranger(self._url, what)
         self._firmware = self._telemetry.firmware = firmware
         self._read_parameters()
-        self._enter(Phase.ESTIMATING, now, f"{what}: waiting for its position estimate")
+        self._enter(FlightPhase.ESTIMATING, now, f"{what}: waiting for its position estimate")
 
     def _read_parameters(self) -> None:
         self._review = Review(self._wanted(self._firmware), self._firmware.bytewise)
@@ -198,7 +198,7 @@ class Flight:
             self._doing = "ready to take off, waiting for the fleet"
         else:
             self._setpoint = None
-            self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
+            self._enter(FlightPhase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
 
     def _take_over(self, now: float) -> None:
         """Take over a vehicle that flies already, for example after the agent's process was restarted.
@@ -207,7 +207,7 @@ class Flight:
         ground. In any other mode, raises Unready."""
         state = self._telemetry
         if state.mode == self._firmware.follows:
-            self._enter(Phase.FLYING, now, "the vehicle flies already: taking over without a take-off")
+            self._enter(FlightPhase.FLYING, now, "the vehicle flies already: taking over without a take-off")
         elif self._ends_itself:
             self._doing = f"already flying in {state.mode_name}: waiting until it has landed"
         else:
@@ -222,7 +222,7 @@ class Flight:
     def _switch(self, now: float) -> None:
         self._call()
         if self._telemetry.mode == self._firmware.follows and self._telemetry.mode_time > self._since:
-            self._enter(Phase.ARMING, now, "arming")
+            self._enter(FlightPhase.ARMING, now, "arming")
         elif not self._firmware.rises or now - self._since >= CALLING:
             asked = self._set_mode(self._firmware.follows, now)
             if asked > 1:
@@ -249,10 +249,10 @@ class Flight:
         self._call()
         if self._telemetry.mode != self._firmware.follows:
             self._enter(
-                Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; switching again"
+                FlightPhase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; switching again"
             )
         elif self._telemetry.armed:
-            self._enter(Phase.CLIMBING, now, "taking off")
+            self._enter(FlightPhase.CLIMBING, now, "taking off")
         else:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
             self._doing = self._explained("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now)
@@ -265,7 +265,7 @@ class Flight:
             words = f"disarmed before take-off{': ' if said else ''}{said}"
             if now - self._since < BY_HAND:
                 raise Unready(words, "a person or a failsafe has acted; check the vehicle and restart the agent")
-            self._enter(Phase.ARMING, now, f"{words}; arming again")
+            self._enter(FlightPhase.ARMING, now, f"{words}; arming again")
         elif self._airborne:
             self._rise(now)
         elif state.mode != self._firmware.follows:
@@ -309,7 +309,7 @@ class Flight:
         height, climb = state.position.z, self._height - self._climb_from
         stopped = abs(state.velocity.z) < STILL and height - self._climb_from > 0.5 * climb
         if height > self._height - min(AT_HEIGHT, 0.2 * climb) or stopped:
-            self._enter(Phase.FLYING, now, "flying")
+            self._enter(FlightPhase.FLYING, now, "flying")
 
     def _fly(self, now: float) -> None:
         self._keep(now)
@@ -338,23 +338,23 @@ class Flight:
         Exception: a flying vehicle in the mode that follows setpoints is landed, because its agent process has died."""
         state = self._telemetry
         orphan = state.flying and state.mode == self._firmware.follows and not self._link.crowded(now)
-        if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
-            self._enter(Phase.STOPPED, now, "nothing was moved")
-        elif self.phase is not Phase.STOPPED and self.phase is not Phase.LANDING:
-            self._enter(Phase.LANDING, now, "landing")
+        if self.phase is FlightPhase.CONNECTING or (self.phase is FlightPhase.ESTIMATING and not orphan):
+            self._enter(FlightPhase.STOPPED, now, "nothing was moved")
+        elif self.phase is not FlightPhase.STOPPED and self.phase is not FlightPhase.LANDING:
+            self._enter(FlightPhase.LANDING, now, "landing")
 
     def _land(self, now: float) -> None:
         state = self._telemetry
         # An arming command may still be in transit. So only a heartbeat that arrives 1 s or more after the beginning of
         # the landing proves that the vehicle is disarmed.
         if not state.armed and state.mode_time > self._since + 1.0:
-            self._enter(Phase.STOPPED, now, "at rest, disarmed")
+            self._enter(FlightPhase.STOPPED, now, "at rest, disarmed")
             return
         ends_itself, lands = self._ends_itself, self._firmware.lands
         if self._landing_seen and not ends_itself:
             self._taken = True
         if self._taken and not ends_itself:
-            self._enter(Phase.STOPPED, now, f"left to the pilot or failsafe that switched to {state.mode_name}")
+            self._enter(FlightPhase.STOPPED, now, f"left to the pilot or failsafe that switched to {state.mode_name}")
             return
         if ends_itself:
             self._landing_seen = True

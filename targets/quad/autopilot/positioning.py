@@ -25,10 +25,10 @@ from targets.mavlink.parameters import Wanted
 from targets.quad.autopilot.check import coordinates
 from targets.quad.autopilot.external import gps_input, odometry, vision
 from targets.quad.autopilot.firmware import Firmware
-from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.flight import Flight, FlightPhase
 from targets.quad.autopilot.origin import Origin
 from targets.quad.autopilot.telemetry import Telemetry
-from targets.quad.autopilot.track import Track
+from targets.quad.autopilot.track import PositionTrack
 
 PERIODS = {"gps_input": 0.125, "vision": 0.05, "odometry": 0.05}  # seconds between two messages to the autopilot
 STALE = 0.3  # seconds; an older sample is not forwarded, and the vehicle holds
@@ -39,7 +39,7 @@ HEIGHT = 0.1  # metres by which the heights of estimate and source may differ be
 FIRST_SAMPLE_TIMEOUT = 60.0  # seconds to wait for the first sample: a base station may be started after the robots
 _JITTER = 0.005  # seconds by which a message may be sent before its time, because polls are not regular
 LEAST_RATE = 15.0  # Hz; a source with a lower rate gets a warning in the pre-flight check
-_IN_FLIGHT = (Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING, Phase.FLYING)
+_IN_FLIGHT = (FlightPhase.SWITCHING, FlightPhase.ARMING, FlightPhase.CLIMBING, FlightPhase.FLYING)
 
 
 class Positioning:
@@ -60,7 +60,7 @@ class Positioning:
         self._mode, self._setting, self._frame, self._bind, self._wall = mode, setting, frame, bind, wall
         self._lost = settings.safety.position_lost
         self._feed = Feed(settings.robot, key, settings.application_id)
-        self._track = Track(max_speed)
+        self._track = PositionTrack(max_speed)
         o = settings.origin
         self._origin = Origin(frame, (o.latitude, o.longitude, o.altitude))
         self._datagrams: DatagramLink | None = None
@@ -149,7 +149,7 @@ class Positioning:
 
         Raises Unready if the vehicle must not fly by this source any more."""
         self.attend(link, flight.heard, now)
-        grounded = flight.phase in (Phase.CONNECTING, Phase.ESTIMATING)
+        grounded = flight.phase in (FlightPhase.CONNECTING, FlightPhase.ESTIMATING)
         if grounded and self._track.refused(now) > JUMPED:
             self._track.forget()
             self._carried += 1
@@ -195,13 +195,13 @@ class Positioning:
             "restart the autopilot, so that the agent can set its origin anew"
         )
 
-    def _give_up(self, phase: Phase, now: float) -> None:
+    def _give_up(self, phase: FlightPhase, now: float) -> None:
         jumped = self._track.refused(now)
         if jumped > JUMPED:
             hint = "check the motion capture system for mistaken bodies and lost markers; then restart the agent"
             raise Unready(f"position source jumped: all samples of the last {jumped:.1f} s were rejected", hint)
         unsure = now - (self._began if self.vouched is None else self.vouched)
-        if unsure > (CLIMBING if phase is Phase.CLIMBING else self._lost) and self.doubt:
+        if unsure > (CLIMBING if phase is FlightPhase.CLIMBING else self._lost) and self.doubt:
             raise Unready(
                 f"{self.doubt} for {unsure:.1f} s",
                 "check the base station, its network, and the autopilot's parameters",

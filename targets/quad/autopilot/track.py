@@ -20,7 +20,7 @@ SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # SLACK in metres, WHILE in seconds, GUSTS
 YAW_SLACK, YAW_RATE = 0.5, 6.0  # radians, rad/s: a change of yaw of more than YAW_SLACK + YAW_RATE * t is a jump, too
 
 
-class Track:
+class PositionTrack:
     """Track of a vehicle whose own speed is `max_speed` (m/s) at most.
 
     `pose`, `velocity` (m/s) and `time` belong to the last accepted sample."""

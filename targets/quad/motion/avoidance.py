@@ -44,7 +44,7 @@ class Size:
     position_error: float = 0.0
 
 
-class Avoidance:
+class QuadAvoidance:
     """Path planner and path check of one quad. Lengths in metres, in the fleet's ENU frame.
 
     `height`: minimum flight height. Targets are raised to it, and paths are planned at this height or above.

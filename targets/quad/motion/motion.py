@@ -17,7 +17,7 @@ from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.reference import STANDING, Reference
 from targets.quad.motion.rejoin import FreeSpace, OpenSpace, Rejoin
 from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
-from targets.quad.motion.trajectory import Limits, State, norm
+from targets.quad.motion.trajectory import MotionLimits, MotionState, norm
 from targets.quad.motion.yaw import Yaw
 
 UNFOLLOWED = 5.0  # seconds without evidence that the autopilot follows setpoints, after which `steer` raises Unready
@@ -58,8 +58,8 @@ class Motion:
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
-        self._limits = Limits(max_speed, climb, acceleration, self._room)
-        self._reference = Reference(Limits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
+        self._limits = MotionLimits(max_speed, climb, acceleration, self._room)
+        self._reference = Reference(MotionLimits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
         self._rejoin = Rejoin(self._reference, OpenSpace() if space is None else space, action)
         self._shaping = shaping
         self._yaw = Yaw(yaw)
@@ -114,7 +114,7 @@ class Motion:
             return
         self._attend(position, state.velocity, now)
         age = 0.0 if state.time is None else now - state.time
-        here = State(position + state.velocity * (age + self._shaping.delay), state.velocity)
+        here = MotionState(position + state.velocity * (age + self._shaping.delay), state.velocity)
         aim = aimed(self._reference, here, self._shaping, self._limits)
         aim = self._rejoin.bounded(aim, position, self._shaping)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)

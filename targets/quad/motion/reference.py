@@ -17,7 +17,7 @@ from itertools import pairwise
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.safety import clamp
 from targets.planning.world import Path
-from targets.quad.motion.trajectory import ZERO, Limits, State, Trajectory, norm, plan, standing
+from targets.quad.motion.trajectory import ZERO, MotionLimits, MotionState, Trajectory, norm, plan, standing
 
 # s, m. The leash is LEASH_LENGTH + LEASH_TIME * maximum speed: at this distance from the vehicle, the reference stands.
 LEASH_TIME, LEASH_LENGTH = 0.5, 0.5
@@ -41,7 +41,7 @@ class Pursuit:
 
     Both are computed from the parabola through the first, the middle and the last place in the WINDOW."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
         self._seen: deque[tuple[float, Point]] = deque(maxlen=64)
         self.forget()
@@ -83,7 +83,7 @@ class Reference:
 
     Points must be finite and inside the box `limits.box`. Times are in seconds on any clock."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: MotionLimits) -> None:
         self.limits = limits
         self._leash = LEASH_LENGTH + LEASH_TIME * limits.speed
         self._pursuit = Pursuit(limits)
@@ -137,12 +137,12 @@ class Reference:
         If there are no points, or the reference is paused, plan a stop."""
         at = clamp(self.limits.box, position)
         climb = velocity.z if at.z == position.z else 0.0  # no vertical velocity if the height was clamped to the box
-        state = State(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
+        state = MotionState(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
         if norm(state.velocity) < STANDING or not self.limits.safe(state):
-            state = State(state.position)
+            state = MotionState(state.position)
         self._time, self._rate = now, 1.0
         self._points = self._points or (self.limits.stop(state),)
-        self._replan(State(self._halt(state)) if self.paused else state)
+        self._replan(MotionState(self._halt(state)) if self.paused else state)
 
     def drop(self, now: float) -> Point | None:
         """Drop the trajectory, because the vehicle no longer follows it; `start` plans a new one.
@@ -199,7 +199,7 @@ class Reference:
             return
         if on:
             self._pursuit.forget()
-            state = State(self._halt(state))
+            state = MotionState(self._halt(state))
         self._replan(state)
 
     def advance(self, position: Point, now: float, most: float = 1.0) -> None:
@@ -222,19 +222,19 @@ class Reference:
         short = self._trajectory is not None and self._trajectory.peak < SLOW
         self.alone = self.paused or self.waits or self.stood >= SETTLED or (self.alone and short)
 
-    def at(self, seconds: float) -> State:
+    def at(self, seconds: float) -> MotionState:
         """Return the predicted reference state `seconds` from now. `start` must be called first."""
         assert self._trajectory is not None
         state, turn = self._trajectory.at(self._elapsed + self._rate * seconds), self._pursuit.acceleration
-        return State(
+        return MotionState(
             state.position + turn * (self._rate * seconds * seconds / 2),
             (state.velocity + turn * seconds) * self._rate,
         )
 
-    def _halt(self, state: State) -> Point:
+    def _halt(self, state: MotionState) -> Point:
         return state.position + state.velocity * min(norm(state.velocity) / (2 * self.limits.acceleration), PAUSE)
 
-    def _run(self, now: float) -> State | None:
+    def _run(self, now: float) -> MotionState | None:
         if self._trajectory is None:
             return None
         self._elapsed += self._rate * max(0.0, min(now - self._time, LONGEST_STEP))
@@ -247,7 +247,7 @@ class Reference:
             return self._passed
         return min(self._passed + self._trajectory.ahead(self._elapsed), len(self._points))
 
-    def _replan(self, state: State) -> None:
+    def _replan(self, state: MotionState) -> None:
         self._elapsed = 0.0
         if self.paused:
             self._trajectory = standing(state.position)

@@ -37,7 +37,7 @@ from koordgen.runtime.vehicle.safety import clamp
 from targets.mavlink.framing import Message
 from targets.mavlink.link import Vehicle
 from targets.quad.motion.reference import Reference
-from targets.quad.motion.trajectory import ZERO, Limits, State, norm
+from targets.quad.motion.trajectory import ZERO, MotionLimits, MotionState, norm
 
 # Type masks of SET_POSITION_TARGET: each bit marks a field to ignore. Autopilots use all three components of position,
 # velocity or acceleration, or none.
@@ -92,7 +92,7 @@ class Aim:
     yaw: float | None = None
 
 
-def aimed(reference: Reference, here: State, shaping: Shaping, limits: Limits) -> Aim:
+def aimed(reference: Reference, here: MotionState, shaping: Shaping, limits: MotionLimits) -> Aim:
     """Return the setpoint to send now. `here`: predicted state of the vehicle when the setpoint arrives.
 
     The setpoint is within the limits, and keeps the vehicle inside the box of the limits for as long as the autopilot
@@ -112,7 +112,7 @@ def aimed(reference: Reference, here: State, shaping: Shaping, limits: Limits) -
     return bounded(_exchanged(position, velocity, shaping, limits.box), here, shaping, limits)
 
 
-def bounded(aim: Aim, here: State, shaping: Shaping, limits: Limits) -> Aim:
+def bounded(aim: Aim, here: MotionState, shaping: Shaping, limits: MotionLimits) -> Aim:
     """Return the setpoint, moved so near to the vehicle that the resulting velocity is within the limits.
 
     The moved setpoint is inside the box, or no farther outside the box than the vehicle."""

@@ -33,7 +33,7 @@ ZERO = Point()
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """Limits of a trajectory.
 
     `speed`: m/s, of the velocity in three dimensions.
@@ -71,17 +71,17 @@ class Limits:
         size = norm(velocity)
         return velocity if size < _STILL else velocity * min(1.0, self.top(velocity / size) / size)
 
-    def stop(self, state: State) -> Point:
+    def stop(self, state: MotionState) -> Point:
         """Return the position at which braking from this state ends."""
         return state.position + state.velocity * (norm(state.velocity) / (2 * self.acceleration))
 
-    def safe(self, state: State) -> bool:
+    def safe(self, state: MotionState) -> bool:
         """Return whether braking from this state ends within the box."""
         return inside(self.box, self.stop(state))
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class MotionState:
     """Position (m) and velocity (m/s) at one time."""
 
     position: Point
@@ -93,14 +93,14 @@ class Piece:
     """Piece of a trajectory with constant acceleration. `ahead`: index of the next waypoint."""
 
     seconds: float
-    start: State
+    start: MotionState
     acceleration: Point
     ahead: int
 
-    def at(self, t: float) -> State:
+    def at(self, t: float) -> MotionState:
         """Return the state t seconds after the piece's beginning."""
         v = self.start.velocity
-        return State(self.start.position + v * t + self.acceleration * (t * t / 2), v + self.acceleration * t)
+        return MotionState(self.start.position + v * t + self.acceleration * (t * t / 2), v + self.acceleration * t)
 
 
 class Trajectory:
@@ -108,7 +108,7 @@ class Trajectory:
 
     The velocity of `end` is kept after the last piece. It is zero unless the goal moves."""
 
-    def __init__(self, pieces: Sequence[Piece], end: State, waypoints: int) -> None:
+    def __init__(self, pieces: Sequence[Piece], end: MotionState, waypoints: int) -> None:
         self.pieces = tuple(pieces)
         self.end = end
         self._waypoints = waypoints
@@ -116,11 +116,11 @@ class Trajectory:
         self.seconds = self._ends[-1] if self._ends else 0.0
         self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, largest speed
 
-    def at(self, t: float) -> State:
+    def at(self, t: float) -> MotionState:
         """Return the state `t` seconds after the beginning of the trajectory, t >= 0."""
         i = bisect_right(self._ends, t)
         if i == len(self.pieces):
-            return State(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
+            return MotionState(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
         return self.pieces[i].at(t - self._ends[i] + self.pieces[i].seconds)
 
     def chords(self, t: float) -> list[Point]:
@@ -147,10 +147,10 @@ class Trajectory:
 
 def standing(at: Point, waypoints: int = 0) -> Trajectory:
     """Return a trajectory that stands at a place, with all waypoints passed."""
-    return Trajectory((), State(at), waypoints)
+    return Trajectory((), MotionState(at), waypoints)
 
 
-def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point = ZERO) -> Trajectory:
+def plan(start: MotionState, waypoints: Sequence[Point], limits: MotionLimits, drift: Point = ZERO) -> Trajectory:
     """Return a trajectory from a state along the waypoints (at least one) to a stand at the last one.
 
     The velocity of `start` must be within the limits. Waypoints and start must be finite.
@@ -159,25 +159,27 @@ def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point 
     trajectory meets the waypoint and then moves with it. The trajectory is planned in the frame that moves with the
     waypoint. In that frame, the limit of acceleration is the same, and `Limits.top` gives the limits of speed."""
     ahead = [i for i, p in enumerate(waypoints) if i + 1 == len(waypoints) or distance(p, waypoints[i + 1]) > CLOSE]
-    pieces = _entered(State(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
-    entry = pieces[-1].at(pieces[-1].seconds) if pieces else State(start.position)
+    pieces = _entered(MotionState(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
+    entry = pieces[-1].at(pieces[-1].seconds) if pieces else MotionState(start.position)
     if len(ahead) > 1 and norm(entry.velocity) < _STILL and distance(entry.position, waypoints[ahead[0]]) <= CLOSE:
         ahead = ahead[1:]  # the trajectory has reached the first waypoint already
     nodes = [entry.position, *(waypoints[i] for i in ahead)]
     pieces += _legs(nodes, [ahead[0], *ahead], norm(entry.velocity), limits, drift)
     goal = waypoints[-1]
     if drift == ZERO:
-        return Trajectory(pieces, State(goal), len(waypoints))
+        return Trajectory(pieces, MotionState(goal), len(waypoints))
     moved, t = [], 0.0
     for p in pieces:
         moved.append(
-            Piece(p.seconds, State(p.start.position + drift * t, p.start.velocity + drift), p.acceleration, p.ahead)
+            Piece(
+                p.seconds, MotionState(p.start.position + drift * t, p.start.velocity + drift), p.acceleration, p.ahead
+            )
         )
         t += p.seconds
-    return Trajectory(moved, State(goal + drift * t, drift), len(waypoints))
+    return Trajectory(moved, MotionState(goal + drift * t, drift), len(waypoints))
 
 
-def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
+def _entered(start: MotionState, goal: Point, limits: MotionLimits, drift: Point, ahead: int) -> list[Piece]:
     """Return the first piece, which turns the present velocity towards the goal; [] if the vehicle stands.
 
     The new velocity is the fastest one from which the vehicle can stop at the goal. If no velocity towards the goal can
@@ -199,7 +201,9 @@ def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int
     return [best]
 
 
-def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point, ahead: int) -> Piece | None:
+def _turned(
+    start: MotionState, goal: Point, fast: float, limits: MotionLimits, drift: Point, ahead: int
+) -> Piece | None:
     """Return a piece at whose end the velocity points to the goal.
 
     The speed at its end is `fast`, or less if the limits of speed require it.
@@ -243,7 +247,7 @@ def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point
     return Piece(seconds, start, push, ahead)
 
 
-def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) -> bool:
+def _stays(start: MotionState, push: Point, t: float, drift: Point, limits: MotionLimits) -> bool:
     """Return whether braking from a piece's state after `t` seconds ends inside the box.
 
     `start` and `push` are in the frame that moves with `drift`."""
@@ -258,7 +262,7 @@ def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) ->
     return inside(limits.box, Point(x, y, z))
 
 
-def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, drift: Point) -> list[Piece]:
+def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: MotionLimits, drift: Point) -> list[Piece]:
     """Return straight legs between the nodes, with parabolas at the inner nodes.
 
     The speed is `entry` at the first node, and 0 at the last one."""
@@ -281,7 +285,7 @@ def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, dr
         if bends[i + 1] > _STILL and speed > _STILL:
             seconds = speed * bends[i + 1] / a
             turn = (units[i + 1] - u) * (speed / seconds)
-            pieces.append(Piece(seconds, State(nodes[i + 1] - u * cut_next, u * speed), turn, ahead[i + 2]))
+            pieces.append(Piece(seconds, MotionState(nodes[i + 1] - u * cut_next, u * speed), turn, ahead[i + 2]))
     return pieces
 
 
@@ -323,7 +327,7 @@ def _straight(
         (flat / max(peak, _STILL), up, peak, 0.0),
         ((peak - final) / a, length - down, peak, -a),
     )
-    return [Piece(t, State(start + u * s, u * v), u * push, ahead) for t, s, v, push in parts if t > 0.0]
+    return [Piece(t, MotionState(start + u * s, u * v), u * push, ahead) for t, s, v, push in parts if t > 0.0]
 
 
 def norm(v: Point) -> float:

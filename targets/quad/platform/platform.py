@@ -35,10 +35,10 @@ from targets.planning.standstill import Unplanned
 from targets.quad.autopilot.check import listen
 from targets.quad.autopilot.diagnosis import checks
 from targets.quad.autopilot.firmware import Firmware
-from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.flight import Flight, FlightPhase
 from targets.quad.autopilot.positioning import Positioning
 from targets.quad.autopilot.telemetry import Telemetry
-from targets.quad.motion.avoidance import Avoidance, MakePlanning, Size
+from targets.quad.motion.avoidance import MakePlanning, QuadAvoidance, Size
 from targets.quad.motion.landing import Landing
 from targets.quad.motion.motion import Motion
 from targets.quad.motion.setpoint import Aim, setpoint
@@ -118,7 +118,7 @@ class Quad:
                 f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
             ) from None
         size = Size(body.radius, body.tracking_error, body.position_error)
-        self._avoidance = Avoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
+        self._avoidance = QuadAvoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
             body.reached_radius, body.reached_dwell, yaw, space=self._avoidance, action=settings.safety.missed_action,
@@ -208,9 +208,9 @@ class Quad:
         if self._positioning is not None:
             self._positioning.poll(self._link, self._flight, self._telemetry, now)
             self._motion.hold(self._held or self._positioning.held, now)
-        if self._flight.phase is Phase.CLIMBING:
+        if self._flight.phase is FlightPhase.CLIMBING:
             self._motion.rise(self._telemetry, now)
-        elif self._flight.phase is not Phase.FLYING:
+        elif self._flight.phase is not FlightPhase.FLYING:
             self._motion.coast(now)
         elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
@@ -226,7 +226,7 @@ class Quad:
         scans if there is a lidar, a planner, and a trusted position source."""
         return (
             self._flight is not None
-            and self._flight.phase is Phase.FLYING
+            and self._flight.phase is FlightPhase.FLYING
             and self._link is not None
             and self._link.alive(self._now)
             and self._telemetry.fresh(self._now)
@@ -364,7 +364,7 @@ class Quad:
         """True if the quad's part of the mission has ended.
 
         The quad has landed and disarmed, was taken over by a pilot or a failsafe, or was never commanded."""
-        return self._flight is None or self._flight.phase is Phase.STOPPED
+        return self._flight is None or self._flight.phase is FlightPhase.STOPPED
 
     def close(self) -> None:
         """Close the links to the robot's devices, and end the planner's process."""

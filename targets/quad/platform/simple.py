@@ -38,7 +38,7 @@ LANDED, SETTLING = 0.05, 0.5  # m, s: a quad that stays below the height LANDED 
 GONE = 10.0  # s; if the simulator sends no vehicle state for this long during a landing, the simulator has ended
 
 
-class Seen(Protocol):
+class QuadTruth(Protocol):
     """State of the simulated vehicle: position (m) and velocity (m/s) in ENU, and yaw (rad)."""
 
     @property
@@ -54,7 +54,7 @@ class Seen(Protocol):
 class Flyer(Protocol):
     """Interface of a simulated vehicle, which keeps flying at the last commanded velocity."""
 
-    def state(self) -> Seen | None:
+    def state(self) -> QuadTruth | None:
         """Return the vehicle's state, or None while the vehicle's position is unknown."""
         ...
 
@@ -63,7 +63,7 @@ class Flyer(Protocol):
     def motors(self, on: bool) -> None: ...
 
 
-class Phase(enum.Enum):
+class SimplePhase(enum.Enum):
     """Phases of a flight, in their order."""
 
     GROUNDED = "waiting to take off"
@@ -119,7 +119,7 @@ class SimpleQuad(Quad):
             own.reached_radius, own.reached_dwell, heading(own.yaw), space=self._avoidance,
             action=settings.safety.missed_action,
         )  # fmt: skip
-        self._phase = Phase.GROUNDED
+        self._phase = SimplePhase.GROUNDED
         self._started = False
         self._descent = 0.0  # s, time at which the landing began
         self._low: float | None = None  # s, time at which the landing quad came below the height LANDED
@@ -142,7 +142,7 @@ class SimpleQuad(Quad):
         self._lidar.poll(now)
         self._avoidance.poll()
         self._see(now)
-        if self._phase is Phase.FLYING:
+        if self._phase is SimplePhase.FLYING:
             if self._telemetry.fresh(now):
                 self._direct.fly(self._flyer, self._telemetry, now)
                 self._steered = True
@@ -151,7 +151,7 @@ class SimpleQuad(Quad):
             self._flyer.fly((0.0, 0.0, 0.0), 0.0)
         elif self._telemetry.position is not None:
             self._move(self._telemetry.position, now)
-        if self._phase is Phase.LANDING and now - max(self._descent, self._telemetry.time or 0.0) > GONE:
+        if self._phase is SimplePhase.LANDING and now - max(self._descent, self._telemetry.time or 0.0) > GONE:
             raise Unready(
                 f"the simulator has sent no vehicle state for {GONE:g} s", "check whether the simulator has ended"
             )
@@ -165,27 +165,27 @@ class SimpleQuad(Quad):
     def _move(self, position: Point, now: float) -> None:
         """Control the vehicle on the ground, in the climb and in the landing."""
         match self._phase:
-            case Phase.GROUNDED if not self._held:
-                self._phase = Phase.CLIMBING
+            case SimplePhase.GROUNDED if not self._held:
+                self._phase = SimplePhase.CLIMBING
                 self._flyer.motors(True)
-            case Phase.CLIMBING:
+            case SimplePhase.CLIMBING:
                 self._flyer.motors(True)  # sent in each poll, because a command to the simulator may be lost
                 left = self._body.flight_height - position.z
                 self._flyer.fly((0.0, 0.0, min(self._body.max_climb, GAIN * max(left, ARRIVED))), 0.0)
                 if left < ARRIVED:
-                    self._phase = Phase.FLYING
-            case Phase.LANDING:
+                    self._phase = SimplePhase.FLYING
+            case SimplePhase.LANDING:
                 self._flyer.fly((0.0, 0.0, -SINKING), 0.0)
                 low = position.z < LANDED and abs(self._telemetry.velocity.z) < SINKING / 2
                 self._low = None if not low else now if self._low is None else self._low
                 if self._low is not None and now - self._low >= SETTLING:
                     self._flyer.motors(False)
-                    self._phase = Phase.STOPPED
+                    self._phase = SimplePhase.STOPPED
 
     @property
     def ready(self) -> bool:
         """True if the quad flies with a fresh position, and lidar and planner are ready."""
-        there = self._phase is Phase.FLYING and self._telemetry.fresh(self._now) and self._motion.followed
+        there = self._phase is SimplePhase.FLYING and self._telemetry.fresh(self._now) and self._motion.followed
         return there and not self._lidar.waiting and not self._avoidance.waiting
 
     @property
@@ -203,16 +203,16 @@ class SimpleQuad(Quad):
         """Make the safe stop: land, at first moving aside if another robot may be below."""
         if self._moves_aside(now):
             return
-        if self._phase in (Phase.CLIMBING, Phase.FLYING):
-            self._phase, self._descent = Phase.LANDING, now
+        if self._phase in (SimplePhase.CLIMBING, SimplePhase.FLYING):
+            self._phase, self._descent = SimplePhase.LANDING, now
             self._motion.coast(now)
-        elif self._phase is Phase.GROUNDED:
-            self._phase = Phase.STOPPED
+        elif self._phase is SimplePhase.GROUNDED:
+            self._phase = SimplePhase.STOPPED
 
     @property
     def stopped(self) -> bool:
         """True if the quad's safe stop is complete, or the quad was never started."""
-        return self._phase is Phase.STOPPED or not self._started
+        return self._phase is SimplePhase.STOPPED or not self._started
 
     def close(self) -> None:
         """Close the lidar's port, and end the planner's process. A vehicle in the air is not landed."""

@@ -18,7 +18,7 @@ from koordgen.runtime.values.geodesy import LocalFrame
 from targets.car.base.settings import decode
 from targets.sim.autopilots.mavlink_params import BYTE, REAL, SHORT, Parameter, SimulatedParameters
 from targets.sim.autopilots.mavlink_telemetry import Message, SimulatedTelemetry
-from targets.sim.base.bodies import Car, DeviceContext
+from targets.sim.base.bodies import CarBody, DeviceContext
 from targets.sim.base.ports import Port
 
 MANUAL, HOLD, GUIDED = 0, 4, 15
@@ -57,7 +57,7 @@ class SimulatedRover:
 
     After `boot` seconds its EKF has a position and it can be armed."""
 
-    def __init__(self, body: Car, context: DeviceContext, port: Port | None = None) -> None:
+    def __init__(self, body: CarBody, context: DeviceContext, port: Port | None = None) -> None:
         self._body, self._settings = body, decode(context.settings)
         self._frame = LocalFrame(*context.origin)
         boot = context.harness.get("boot", 3.0)

@@ -14,7 +14,7 @@ import msgspec
 
 from koordgen.runtime.program.program import Event, Port, Program, Slots, Stopped, Transaction, Variable
 from koordgen.runtime.trace.schema import Cause, Violation
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
 from targets.sim.base.bodies import BodyState
@@ -145,7 +145,7 @@ class ReplayGuide:
                 return said
         raise LookupError(f"{port} was not called with these arguments in the trace")
 
-    def observe(self, pid: int, record: Record) -> None:
+    def observe(self, pid: int, record: RoundRecord) -> None:
         """Compare a round, as the agent's own record has it, with the plan."""
         self._seen[pid] = max(self._seen[pid], record.round)
         if record.round > len(self.plan.rounds):
@@ -154,7 +154,7 @@ class ReplayGuide:
         if why:
             self._differences.append((record.round, pid, why))
 
-    def _difference(self, pid: int, record: Record, each: Planned) -> str:
+    def _difference(self, pid: int, record: RoundRecord, each: Planned) -> str:
         state, wanted, ending = each.state, each.events.get(pid), self.plan.ending
         if state.stopped[pid]:
             return "" if record.skipped == "stopped" else "it has not stopped, as it has in the trace"

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Init, Round, Stream, TraceRecord, Violation
+from koordgen.runtime.trace.schema import InitRecord, Round, StreamLine, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.run.run import Run
 from targets.sim.run.run_interface import AgentHandle
@@ -55,10 +55,10 @@ class Idle:
             return
         for record in records:
             match record:
-                case Init() | Round():
+                case InitRecord() | Round():
                     if self._has_effect(agent.robot.pid, record):
                         self._since = max(self._since, record.time) if self._since < math.inf else self._since
-                case Stream():
+                case StreamLine():
                     self._since = max(self._since, record.time) if self._since < math.inf else self._since
                 case _:
                     pass
@@ -71,7 +71,7 @@ class Idle:
         agents = self._run.conduct.agents
         return [a.robot.pid for a in agents if a.alive and a.stopping is None and a.robot.pid not in self._stopped]
 
-    def _has_effect(self, pid: int, record: Init | Round) -> bool:
+    def _has_effect(self, pid: int, record: InitRecord | Round) -> bool:
         if record.stopped:
             self._stopped.add(pid)
         if isinstance(record, Round):

@@ -11,7 +11,18 @@ from typing import Literal
 import msgspec
 
 from koordgen.runtime.program.runner import name_of
-from koordgen.runtime.trace.schema import Cause, End, Header, Log, Monitor, Pose, Round, Stall, TraceRecord, Violation
+from koordgen.runtime.trace.schema import (
+    Cause,
+    End,
+    Header,
+    LogLine,
+    Monitor,
+    PoseRecord,
+    Round,
+    Stall,
+    TraceRecord,
+    Violation,
+)
 from koordgen.runtime.trace.schema import Verdict as Found
 from targets.sim.base.bodies import Vector
 from targets.sim.run.run import RunResult
@@ -126,7 +137,7 @@ def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult)
         match record:
             case Monitor() if not ended:
                 monitored.add(record)
-            case Pose() | Round() | Stall() | Log() if record.pid in tallies:
+            case PoseRecord() | Round() | Stall() | LogLine() if record.pid in tallies:
                 tallies[record.pid].add(record, ended)
             case Violation():
                 violations.append(record)
@@ -188,19 +199,19 @@ class _Tally:
         self._last: Vector | None = None
         self._round = 0
 
-    def add(self, record: Pose | Round | Stall | Log, ended: bool) -> None:
+    def add(self, record: PoseRecord | Round | Stall | LogLine, ended: bool) -> None:
         """Add a record of the robot; `ended`: the mission is over."""
         match record:
-            case Pose():
+            case PoseRecord():
                 self.pose(record, ended)
-            case Log():
+            case LogLine():
                 self.log(record)
             case Round() if not ended:
                 self.round(record)
             case Stall() if not ended:
                 self.stall(record)
 
-    def pose(self, pose: Pose, ended: bool) -> None:
+    def pose(self, pose: PoseRecord, ended: bool) -> None:
         own = self.summary
         own.start = own.start or pose.position
         own.stop = pose.position
@@ -210,7 +221,7 @@ class _Tally:
                 own.path_length += math.dist(self._last, pose.position)
         self._last = pose.position
 
-    def log(self, record: Log) -> None:
+    def log(self, record: LogLine) -> None:
         """Count a warning or an error by its text without numbers. Stall messages are reported as stalls."""
         own = self.summary
         if record.level == "info" or (own.stalls and record.message.endswith(own.stalls[-1].why)):

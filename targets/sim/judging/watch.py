@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged, properties_of
-from koordgen.runtime.trace.schema import Init, Phase, Round, TraceRecord, Verdict, View, Violation
+from koordgen.runtime.trace.schema import InitRecord, Phase, Round, TraceRecord, Verdict, ViewRecord, Violation
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
 from targets.sim.judging.batch import Batch
@@ -84,7 +84,7 @@ class Watcher:
         self._step = found.step(self._n, None)
         self._observations: deque[_Observation] = deque()
         self._out: dict[int, float] = {}  # pid -> time when it left the model
-        self._view = View(0, 0, (0,) * self._n)
+        self._view = ViewRecord(0, 0, (0,) * self._n)
         self._began = False
         self._arrays: dict[str, NDArray[Any]] = {}  # measured arrays of the present round
         self._stopped: set[int] = set()
@@ -115,14 +115,14 @@ class Watcher:
         pid = agent.robot.pid
         for record in records:
             match record:
-                case Init() | Round():
+                case InitRecord() | Round():
                     self._truth.hear(pid, record)
                     self._note_loops(agent.robot.name, record)
                     if record.stopped:
                         self._stopped.add(pid)
                 case Phase(phase="stopping") if not agent.asked_to_end:
                     self._rests(pid, record.time)
-                case View() if record.number > self._view.number:
+                case ViewRecord() if record.number > self._view.number:
                     self._view = record
                 case _:
                     pass
@@ -132,7 +132,7 @@ class Watcher:
         self._judge(self._ready)
         self.seconds += time.perf_counter() - began
 
-    def _note_loops(self, robot: str, record: Init | Round) -> None:
+    def _note_loops(self, robot: str, record: InitRecord | Round) -> None:
         """Mark each loop invariant that was false in a robot's event, once."""
         where = f"the event {record.event}" if isinstance(record, Round) else "init"
         for line in record.violated:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from koordgen.runtime.trace.schema import Log, Phase, Round, TraceRecord
+from koordgen.runtime.trace.schema import LogLine, Phase, Round, TraceRecord
 from koordgen.runtime.trace.writer import Observe
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import Robot
@@ -134,7 +134,7 @@ class AgentHandle(ABC):
                     self.first_fault = self.first_fault or record
                 elif record.event is not None:
                     self.events += 1
-            case Log(level="error"):
+            case LogLine(level="error"):
                 self.last_error = record.message
             case _:
                 pass

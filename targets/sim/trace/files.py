@@ -21,7 +21,7 @@ from koordgen.runtime.trace.schema import (
     BadTrace,
     Header,
     Mark,
-    Pose,
+    PoseRecord,
     RobotHeader,
     Round,
     TraceRecord,
@@ -96,7 +96,7 @@ class Poses:
     def write(self, time: float, states: list[BodyState]) -> None:
         for pid, state in enumerate(states):
             place = (round(state.position[0], 5), round(state.position[1], 5), round(state.position[2], 5))
-            record = Pose(pid, place, round(state.yaw, 5), time, LEFT_OUT)
+            record = PoseRecord(pid, place, round(state.yaw, 5), time, LEFT_OUT)
             self._file.write(encoded(record) + b"\n")
 
     def close(self) -> None:

@@ -15,7 +15,7 @@ import msgspec
 
 from koordgen.runtime.program.program import Calls, Port, Program, Variable
 from koordgen.runtime.program.property import UNKNOWN
-from koordgen.runtime.trace.schema import Init, Round, Values
+from koordgen.runtime.trace.schema import InitRecord, Round, Values
 from koordgen.runtime.values.points import Grid, Point
 
 # Arguments of a planner call: a goal, and obstacles as cells.
@@ -27,7 +27,7 @@ _by_pid = msgspec.json.Decoder(dict[str, msgspec.Raw])
 class _Robot:
     """Records of one robot. `rounds` wait to be applied."""
 
-    init: Init | None = None
+    init: InitRecord | None = None
     last_recorded: int = 0  # the last recorded round
     rounds: dict[int, Round] = field(default_factory=dict)
     calls: Calls = ()  # in the round applied last
@@ -50,10 +50,10 @@ class Truth:
         typed: list[Variable | Port] = [*program.locals, *program.shared, *program.ports]
         self._decoders: dict[str, Any] = {v.name: msgspec.json.Decoder(v.type) for v in typed}
 
-    def hear(self, pid: int, record: Init | Round) -> None:
+    def hear(self, pid: int, record: InitRecord | Round) -> None:
         """Add a record of an agent. Call in its order."""
         robot = self._robots[pid]
-        if isinstance(record, Init):
+        if isinstance(record, InitRecord):
             robot.init = record
         else:
             robot.last_recorded = max(robot.last_recorded, record.round)
@@ -148,7 +148,7 @@ class Truth:
                 else:
                     self.values[name] = self._one(name, raw)
 
-    def _unset(self, name: str, init: Init | None) -> Any:
+    def _unset(self, name: str, init: InitRecord | None) -> Any:
         """Return an actuator's value before it is written: some hold the value of a sensor."""
         port = next(p for p in self._program.ports if p.name == name)
         if port.held and init is not None:

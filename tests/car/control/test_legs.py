@@ -14,7 +14,7 @@ from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.control.navigator import STRAYED
 from targets.car.platform.platform import Car
 from targets.planning.process import Inside
@@ -62,7 +62,7 @@ def test_a_car_off_its_way_and_near_to_an_obstacle_brakes_before_its_way_is_plan
     world.run(1.5)
     navigator = world.car._navigator
     assert navigator is not None
-    near = State(1.3, 0.6 + 0.14 + 0.03, 0.0, 0.5)  # half of its width and 3 cm beside the box
+    near = BicycleState(1.3, 0.6 + 0.14 + 0.03, 0.0, 0.5)  # half of its width and 3 cm beside the box
     assert world.car._avoidance.strayed(near) and not world.car._avoidance.strayed(replace(near, y=0.9))
     navigator._tracker.step(near)
     assert navigator._tracker.error > STRAYED

@@ -13,10 +13,10 @@ from koordgen.runtime.native.loader import NotCompiled
 from targets.car.control.mpc import STEPS, choose
 from targets.car.control.solver.compiled import CompiledSolver, load
 from targets.car.control.solver.fallback import CasadiSolver
-from targets.car.control.solver.problem import Limits
+from targets.car.control.solver.problem import ControlLimits
 from tests.car.platform.world import World
 
-LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
+LIMITS = ControlLimits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 SLOWER = "the controller runs in CasADi, which takes several times longer: "
 FAILS = SLOWER + "the C code of mpc cannot be compiled: "
 

@@ -15,9 +15,9 @@ from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, Rig, at, sent, settings
 from koordgen.runtime.config.settings import BadSettings, Safety
 from koordgen.runtime.values.points import Point, Pose, distance
 from koordgen.runtime.vehicle.platform import Finding, Unready
-from koordgen.runtime.vehicle.safety import Guard
+from koordgen.runtime.vehicle.safety import SafetyGuard
 from targets.quad.autopilot.positioning import FIRST_SAMPLE_TIMEOUT, JUMPED, STALE
-from targets.quad.autopilot.track import Track
+from targets.quad.autopilot.track import PositionTrack
 from targets.quad.platform.platform import Quad
 from tests.quad.platform.fed import KEY, WALL, Cable, FedRig, sample
 
@@ -145,7 +145,7 @@ def test_silence_in_flight_holds_within_half_a_second_and_then_lands(mode: str) 
     rig.run(2.0)
     assert rig.body.velocity[0] < -0.5 and not rig.quad.progress.count("no fresh position")
     rig.station, silent = None, rig.now
-    guard = Guard(Safety(), FENCE)
+    guard = SafetyGuard(Safety(), FENCE)
     held: list[float] = []
 
     def watch() -> None:
@@ -185,7 +185,7 @@ def test_a_feed_that_comes_back_goes_on() -> None:
     assert rig.body.velocity[0] > -0.3, "it holds"
     rig.station = station
     assert rig.run(20.0, rig.reached)
-    assert Guard(Safety(), FENCE).judge(rig.quad.sense(rig.now), rig.now).action == "go"
+    assert SafetyGuard(Safety(), FENCE).judge(rig.quad.sense(rig.now), rig.now).action == "go"
 
 
 @MODES
@@ -382,13 +382,13 @@ def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatc
     jumpy.quad = jumpy.agent(positioning="vision")
     assert "samples jumped" in findings(jumpy)["feed"].found
     apart = FedRig("gps_input")
-    monkeypatch.setattr(Track, "at", lambda track, time: Point(1.6, -2.0, 0.0))
+    monkeypatch.setattr(PositionTrack, "at", lambda track, time: Point(1.6, -2.0, 0.0))
     found = findings(apart)["followed"]
     assert found.state == "fail" and re.match(r"the estimate is 0\.\d+ m from the position source", found.found)
 
 
 def test_the_doctor_compares_the_heights_of_feed_and_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Track, "at", lambda track, time: Point(1.0, -2.0, 0.15))
+    monkeypatch.setattr(PositionTrack, "at", lambda track, time: Point(1.0, -2.0, 0.15))
     found = {f.name: f for f in FedRig("gps_input", noise=0.0).quad.diagnose()}["followed"]
     assert found.state == "fail" and "the autopilot's height is 0.15 m below the position source's" in found.found
 

@@ -19,7 +19,7 @@ from koordgen.runtime.program.program import Effects, Fault, Frame
 from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import LEFT, Limit, Overrun, unlimited
 from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Change, Observation
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 from tests.build.emit.generated import checked
 
@@ -179,10 +179,10 @@ def test_it_holds_while_nobody_knows_better() -> None:
     assert robot.demands() == "go"
 
 
-def record(round_: int, position: Point, reached: bool = True, **more: Any) -> Record:
+def record(round_: int, position: Point, reached: bool = True, **more: Any) -> RoundRecord:
     sensors = {"Motion.position": position, "Motion.reached": reached}
     frame = Frame(1, 3, {}, {}, sensors, {"Motion.target": more.pop("target", Point())})
-    return Record(round_, 0.1 * round_, 0.0, sensors, more.pop("frame", frame), **more)
+    return RoundRecord(round_, 0.1 * round_, 0.0, sensors, more.pop("frame", frame), **more)
 
 
 def moved(target: Point) -> Mapping[str, Any]:

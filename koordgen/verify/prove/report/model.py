@@ -18,7 +18,7 @@ from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import replace
-from koordgen.lang.semantics.eval import Discarded, View, elements, holds
+from koordgen.lang.semantics.eval import Discarded, StateView, elements, holds
 from koordgen.lang.semantics.exact import NotExact, made_exact
 from koordgen.lang.semantics.exec import Budget, NoMeaning, library
 from koordgen.lang.semantics.property import holds_assumption, holds_property
@@ -308,7 +308,7 @@ def failing_conjunct(property_: decl.Property, program: decl.Program, state: Sta
     return _failing_conjunct(property_.formula, view)
 
 
-def _failing_conjunct(node: ir.Expr, view: View) -> Conjunct | None:
+def _failing_conjunct(node: ir.Expr, view: StateView) -> Conjunct | None:
     try:
         if holds(node, view):
             return None

@@ -17,10 +17,10 @@ from koordgen.runtime.trace.schema import (
     FORMAT,
     LEFT_OUT,
     Header,
-    Pose,
+    PoseRecord,
     RobotName,
     Round,
-    Shared,
+    SharedVariable,
     TraceRecord,
     Violation,
     plain,
@@ -112,7 +112,7 @@ def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunO
         seed=0,
         robots=tuple([RobotName(f"robot{pid}", pid, "proof") for pid in range(len(state.robots))]),
         duration=float(run_states[-1].round),
-        shared=tuple([Shared(v.name, v.kind, str(v.type)) for v in program.shared]),
+        shared=tuple([SharedVariable(v.name, v.kind, str(v.type)) for v in program.shared]),
         applications=(program.name,),
         counterexample="step" if run_states[0].round else "run",
         params=_plain(state.params),
@@ -120,7 +120,7 @@ def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunO
     )
 
 
-def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[Pose | Round]:
+def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[PoseRecord | Round]:
     sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
     for index, run_state in enumerate(run_states):
         state = run_state.state
@@ -131,7 +131,7 @@ def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOr
             place = next((robot.ports[name] for name in positions(program)), None)
             if isinstance(place, Point):
                 position = (float(place.x), float(place.y), float(place.z))
-                yield Pose(pid, position, 0.0, LEFT_OUT, float(run_state.round))
+                yield PoseRecord(pid, position, 0.0, LEFT_OUT, float(run_state.round))
             yield Round(
                 round=run_state.round,
                 event=run_state.event if acted and run_state.event not in UNMOVED else None,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from targets.car.control.solver.model import INPUTS, STATES, STEPS, step
-from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
+from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, ControlLimits
 
 ITERATIONS = 8  # maximum SQP iterations; from a shifted plan, one to three suffice
 DEFECT = 1e-2  # metres, radians, m/s; maximum difference of a plan's states from the states that its inputs lead to
@@ -28,7 +28,7 @@ class CasadiSolver:
     CasADi reads and writes preallocated arrays. Creating its matrices from lists would take a third of the solve time.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: ControlLimits) -> None:
         nlp = nonlinear_program("sqpmethod")
         most = upper_bounds(limits)
         self._head = [limits.wheelbase, *STATE_WEIGHTS, *INPUT_WEIGHTS]
@@ -83,7 +83,7 @@ def _shifted(values: array[float], stride: int) -> array[float]:
     return values[stride:] + values[-stride:]
 
 
-def upper_bounds(limits: Limits) -> list[float]:
+def upper_bounds(limits: ControlLimits) -> list[float]:
     """Return the upper bounds of the program's variables; the lower bounds are their negatives."""
     free = [math.inf] * 3
     return [limits.acceleration, limits.steering_rate, *free, limits.speed, limits.steering] * STEPS

@@ -15,7 +15,7 @@ INPUT_WEIGHTS = (0.02, 0.02)  # acceleration, steering rate
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ControlLimits:
     """Wheelbase and limits of a car. Each limit holds in both directions."""
 
     wheelbase: float  # m

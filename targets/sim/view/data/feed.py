@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Init, Phase, Pose, Round, TraceRecord, Violation
+from koordgen.runtime.trace.schema import Header, InitRecord, Phase, PoseRecord, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.run_interface import AgentHandle
 
@@ -59,14 +59,14 @@ class Feed(ABC):
             self._begin()
         t = self._t(at)
         for pid, state in enumerate(states):
-            self._add(Pose(pid, state.position, state.yaw), t)
+            self._add(PoseRecord(pid, state.position, state.yaw), t)
         self._marks()
         self._send()
 
     def show(self, at: float, states: list[BodyState]) -> None:
         """Pass on the present poses and all collected records at once."""
         for pid, state in enumerate(states):
-            self._add(Pose(pid, state.position, state.yaw), self._t(at))
+            self._add(PoseRecord(pid, state.position, state.yaw), self._t(at))
         self._marks()
         self.flush()
 
@@ -77,7 +77,7 @@ class Feed(ABC):
     def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """See Companion."""
         if not self._begun:
-            self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
+            self._early.append((agent, [r for r in records if isinstance(r, (InitRecord, Round))]))
         for record in records:
             if not isinstance(record, (Header, Violation)) and hasattr(record, "pid"):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)

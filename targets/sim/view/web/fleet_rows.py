@@ -15,7 +15,17 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import EventFault, Header, Log, Metrics, PeerQuality, Phase, Pose, Round, Shared
+from koordgen.runtime.trace.schema import (
+    EventFault,
+    Header,
+    LogLine,
+    MetricsRecord,
+    PeerQuality,
+    Phase,
+    PoseRecord,
+    Round,
+    SharedVariable,
+)
 from targets.sim.base.bodies import Vector
 from targets.sim.view.data.rows import Chunk, Rows
 
@@ -105,7 +115,7 @@ def read_report(plain: Any) -> Report | str:
 def completed(header: Header, report: Report) -> Header:
     """Return the header completed by a report; the same object if nothing was missing."""
     known = {variable.name for variable in header.shared}
-    more = tuple(Shared(name, kind, "") for name, kind, *_ in report.shared if name not in known)
+    more = tuple(SharedVariable(name, kind, "") for name, kind, *_ in report.shared if name not in known)
     changes: dict[str, Any] = {"shared": (*header.shared, *more)} if more else {}
     if not header.app and report.app:
         changes["app"] = report.app
@@ -175,7 +185,7 @@ class FleetRows:
         self._decided(pid, known, report, t)
         if t - known.linked >= LINKS_EVERY:
             known.linked = t
-            self._rows.add(Metrics(report.late_ms, report.rejected, report.peers, pid=pid), t)
+            self._rows.add(MetricsRecord(report.late_ms, report.rejected, report.peers, pid=pid), t)
         violated = frozenset(each.words for each in report.monitors.violated)
         for each in report.monitors.violated:
             if each.words not in known.violated:
@@ -230,7 +240,7 @@ class FleetRows:
         pose = report.pose
         if pose is not None and t - pose.age > known.posed + 1e-3 and all(map(math.isfinite, pose.position)):
             known.posed = t - pose.age
-            self._rows.add(Pose(pid, pose.position, pose.yaw or 0.0), known.posed)
+            self._rows.add(PoseRecord(pid, pose.position, pose.yaw or 0.0), known.posed)
         if report.goal != known.goal:
             known.goal = report.goal
             self._add("paths", [pid, round(t, 3), report.goal])
@@ -241,9 +251,9 @@ class FleetRows:
                 continue
             if known.line and number > known.line + 1:
                 lost = f"{number - known.line - 1} lines before this one arrived too fast to be shown"
-                self._rows.add(Log("warning", lost, pid=pid), t - age)
+                self._rows.add(LogLine("warning", lost, pid=pid), t - age)
             known.line = number
-            self._rows.add(Log(level, text, pid=pid), t - age)
+            self._rows.add(LogLine(level, text, pid=pid), t - age)
 
     def _decided(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         """Add rows of decided rounds and of the shared variables that they wrote."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Log, Monitor, Phase, Round, TraceRecord, Verdict, Violation
+from koordgen.runtime.trace.schema import Header, LogLine, Monitor, Phase, Round, TraceRecord, Verdict, Violation
 from targets.sim.judging.summary import (
     LEFT_OPEN,
     RobotSummary,
@@ -66,7 +66,7 @@ def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[floa
             case Monitor() if notable.add(record):
                 text = f"{status_text(record)} ({record.line})" + (f": {record.why}" if record.why else "")
                 found.append((record.t, names.get(record.pid, "?"), "monitor", text))
-            case Log() if record.level != "info":
+            case LogLine() if record.level != "info":
                 found.append((record.t, names.get(record.pid, "?"), record.level, record.message))
             case Round(fault=fault) if fault is not None and (record.pid, str(fault)) not in seen:
                 seen.add((record.pid, str(fault)))
