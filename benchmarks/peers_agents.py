@@ -19,7 +19,7 @@ from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Setting
 from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import RoundMessage
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from koordgen.runtime.program.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
 from koordgen.runtime.trace.writer import RoundRecord, Trace
 from koordgen.runtime.values.bounds import Fixed, Text

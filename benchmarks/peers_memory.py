@@ -27,7 +27,7 @@ from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Entry
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from koordgen.runtime.program.program import Life
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.messages import HardState

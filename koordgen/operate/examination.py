@@ -59,7 +59,7 @@ async def _examine_robot(session: SshSession, robot: str) -> HostExamination:
         if error.code == "link":
             raise
         return HostExamination(robot, 1, (), _problem(error))
-    return HostExamination(robot, int(answer["status"]), tuple(answer["document"]["findings"]))
+    return HostExamination(robot, int(answer["status"]), tuple(answer["document"]["checks"]))
 
 
 def _problem(error: HostError) -> str:
@@ -74,7 +74,7 @@ def worst(examined: Sequence[HostExamination]) -> int:
 def to_json(examined: Sequence[HostExamination]) -> str:
     """Return the results of all robots' checks as one JSON document."""
     robots = [
-        {"robot": each.robot, "status": each.status, "problem": each.problem, "findings": list(each.checks)}
+        {"robot": each.robot, "status": each.status, "problem": each.problem, "checks": list(each.checks)}
         for each in examined
     ]
     return json.dumps({"status": worst(examined), "robots": robots}, indent=2)

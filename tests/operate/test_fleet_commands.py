@@ -24,7 +24,7 @@ if "--doctor" in sys.argv:
     name = json.load(open(sys.argv[0] + "/settings.json"))["robot"]
     state = "fail" if name == "cleo" else "ok"
     finding = {"name": "port", "state": state, "found": "47100", "wanted": "", "why": ""}
-    print(json.dumps({"app": "line", "status": 5 if name == "cleo" else 0, "findings": [finding]}))
+    print(json.dumps({"app": "line", "status": 5 if name == "cleo" else 0, "checks": [finding]}))
     raise SystemExit(5 if name == "cleo" else 0)
 if "--status" in sys.argv:
     raise SystemExit(5)

@@ -135,7 +135,7 @@ def test_the_doctor_and_the_release_are_told(host: FakeHost, ports: dict[str, in
     with host.session() as session:
         release.put(session)
         found = session.call("doctor", robot="alice")
-        assert (found["status"], found["document"]) == (1, {"robot": "alice", "findings": []})
+        assert (found["status"], found["document"]) == (1, {"robot": "alice", "checks": []})
         assert refused(session.call, "doctor", robot="carol").code == "unknown robot"
         assert session.call("release", id=release.id) == {"release": release.document, "files": release.files}
         assert refused(session.call, "release", id="0" * 16).code == "missing"

@@ -22,7 +22,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import FrameType
@@ -37,12 +37,12 @@ from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.checks import print_briefly, print_checks
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.doctor import PlatformType, examine
-from koordgen.runtime.ops.findings import print_briefly, print_checks
 from koordgen.runtime.ops.host import temperature
 from koordgen.runtime.ops.notify import Notifier
-from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
+from koordgen.runtime.ops.set_up import open_key, open_settings, open_transport
 from koordgen.runtime.ops.status import ask, show
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program, wrong_first_value
@@ -52,7 +52,7 @@ from koordgen.runtime.trace.parts import MEGABYTE, TraceFileParts, set_aside
 from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
-from koordgen.runtime.vehicle.platform import Platform, Unready
+from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
 
 __all__ = ["Agent", "main"]
 
@@ -89,13 +89,8 @@ def main(
     platform: Platform | None = None
     try:
         if arguments.check or arguments.doctor:
-            examined = examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)
-            with closing(examined):
-                return (
-                    print_checks(program.name, examined, arguments.format)
-                    if arguments.doctor
-                    else print_briefly(examined)
-                )
+            with closing(examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)) as results:
+                return _print_results(program, results, arguments)
         settings = open_settings(root, arguments.settings, arguments.pid)
         key = open_key(settings)
         if key is None:
@@ -129,6 +124,11 @@ def main(
     finally:
         if platform is not None:
             platform.close()
+
+
+def _print_results(program: Program, results: Iterator[Finding], arguments: argparse.Namespace) -> int:
+    """Print the results of checks: all of them for `--doctor`, up to the first failure for `--check`."""
+    return print_checks(program.name, results, arguments.format) if arguments.doctor else print_briefly(results)
 
 
 def settle_collector() -> None:

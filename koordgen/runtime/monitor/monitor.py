@@ -149,7 +149,7 @@ class Monitors:
         due = []
         for watched in self._invariants:
             watched.due = watched.due or not changed.isdisjoint(watched.reads)
-            if watched.needs > observation.certain:
+            if watched.needs > observation.committed:
                 self._wait(watched, observation)
             elif watched.due:
                 due.append(watched)
@@ -174,7 +174,7 @@ class Monitors:
         """Update the known values. Return the names of the changed values; a new object counts as a change."""
         known, values, changed = self._known, self._values, set()
         for name, place in self._reading:
-            if place > observation.certain:
+            if place > observation.committed:
                 continue
             value = observation.value(name, place)
             if value is values.get(name):

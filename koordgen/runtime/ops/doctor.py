@@ -18,7 +18,7 @@ from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.host import Clocks, disk, host
-from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
+from koordgen.runtime.ops.set_up import open_key, open_settings, open_transport
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.trace.parts import MEGABYTE, size_of

@@ -23,13 +23,13 @@ SENSED, OWN, SHARED = range(3)
 class Observation(msgspec.Struct, frozen=True):
     """A robot's knowledge at the start of a round, before its event.
 
-    certain: parts that are committed: SENSED, OWN or SHARED.
+    committed: parts that are committed: SENSED, OWN or SHARED.
     sensed: local time at which the robot's position was measured; None before the first measurement.
     """
 
     round: int
     time: float
-    certain: int
+    committed: int
     sensed: float | None
     sensors: Mapping[str, Any]
     locals: Mapping[str, Any]

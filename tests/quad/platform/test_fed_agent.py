@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.quad_rig import at
-from koordgen.runtime.ops.findings import SURROUNDINGS
+from koordgen.runtime.ops.checks import SURROUNDINGS
 from koordgen.runtime.values.points import Point
 from tests.quad.platform.fed import FedRig
 

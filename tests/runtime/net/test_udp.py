@@ -13,7 +13,7 @@ from koordgen.runtime.config.settings import Network, Peer
 from koordgen.runtime.net import udp
 from koordgen.runtime.net.inbox import PythonInbox
 from koordgen.runtime.net.transport import GROUP, CannotOpen, Transport
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from tests.runtime.net.transports import (
     BROADCAST,
     IMPLEMENTATIONS,

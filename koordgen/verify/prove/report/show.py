@@ -96,11 +96,11 @@ def wrapped(text: str) -> list[str]:
     return filled(text, "  ", "  ")
 
 
-def filled(text: str, first: str, rest: str) -> list[str]:
+def filled(text: str, first: str, later: str) -> list[str]:
     """Break a text into lines of at most WIDTH columns.
 
     `first`: the prefix of the first line.
-    `rest`: the prefix of every other line.
+    `later`: the prefix of every other line.
 
     The module textwrap is not used, because its import takes 0.7 ms."""
     lines, line = [], ""
@@ -108,7 +108,7 @@ def filled(text: str, first: str, rest: str) -> list[str]:
         if line and len(line) + 1 + len(word) > WIDTH:
             lines.append(line)
             line = ""
-        line = f"{line} {word}" if line else (rest if lines else first) + word
+        line = f"{line} {word}" if line else (later if lines else first) + word
     return [*lines, line]
 
 

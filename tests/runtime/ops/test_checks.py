@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.ops.findings import print_briefly, print_checks, report_unloadable, row, status
+from koordgen.runtime.ops.checks import print_briefly, print_checks, report_unloadable, row, status
 from koordgen.runtime.vehicle.platform import Finding, Unready
 
 OK = Finding("link", "ok", "autopilot on udpin:0.0.0.0:14550, system 1")
@@ -52,7 +52,7 @@ def test_the_document(capsys: pytest.CaptureFixture[str]) -> None:
     assert print_checks("app", [OK, WARN], "json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["app"] == "app" and told["status"] == 0
-    assert told["findings"][1] == {
+    assert told["checks"][1] == {
         "name": "streams", "state": "warn", "found": WARN.found, "wanted": WARN.wanted, "why": WARN.why,
     }  # fmt: skip
 
@@ -75,7 +75,7 @@ def test_a_bundle_that_cannot_be_imported(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "requirements.txt").write_text("nobody-has-this==1.0\n")
     error = ImportError("No module named 'nobody'", name="nobody")
     assert report_unloadable(tmp_path, ["--doctor", "--format", "json"], error) == 5
-    found = {f["name"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    found = {f["name"]: f for f in json.loads(capsys.readouterr().out)["checks"]}
     assert found["packages"]["state"] == found["import"]["state"] == "fail"
     assert report_unloadable(tmp_path, [], error) == 5
     told = capsys.readouterr()

@@ -24,28 +24,28 @@ _INDENT = " " * (_NAME + 7)
 Form = Literal["text", "json"]
 
 
-def status(findings: Iterable[Finding]) -> int:
+def status(results: Iterable[Finding]) -> int:
     """Return the exit status: 0 if no check failed, 1 if a check of files failed, 5 if only other checks failed."""
-    failed = {finding.name for finding in findings if finding.state == "fail"}
+    failed = {finding.name for finding in results if finding.state == "fail"}
     return OK if not failed else WRONG if failed & set(OWN) else SURROUNDINGS
 
 
-def print_checks(app: str, findings: Iterable[Finding], form: Form) -> int:
+def print_checks(app: str, results: Iterable[Finding], form: Form) -> int:
     """Print the results of all checks on standard output. Return the exit status.
 
     `form`: "text" prints each result immediately, "json" prints one JSON document at the end."""
     width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns))
-    told = []
-    for finding in findings:
-        told.append(finding)
+    shown = []
+    for finding in results:
+        shown.append(finding)
         if form == "text":
             print(row(finding, width), flush=True)
-    result = status(told)
+    result = status(shown)
     if form == "json":
-        print(json.dumps({"app": app, "status": result, "findings": [asdict(f) for f in told]}, indent=2))
+        print(json.dumps({"app": app, "status": result, "checks": [asdict(f) for f in shown]}, indent=2))
     else:
-        failed, doubtful = (sum(f.state == state for f in told) for state in ("fail", "warn"))
-        print(f"{len(told)} checks: {failed} failed, {doubtful} warnings")
+        failed, doubtful = (sum(f.state == state for f in shown) for state in ("fail", "warn"))
+        print(f"{len(shown)} checks: {failed} failed, {doubtful} warnings")
     return result
 
 
@@ -62,9 +62,9 @@ def row(finding: Finding, width: int) -> str:
     return "\n".join(wrapper.fill(line) for line in lines)
 
 
-def print_briefly(findings: Iterable[Finding]) -> int:
+def print_briefly(results: Iterable[Finding]) -> int:
     """Print the result of each check on one line, and stop after the first failed check. Return the exit status."""
-    for finding in findings:
+    for finding in results:
         if finding.state == "fail":
             print(f"error: {_whole(finding)}", file=sys.stderr)
             return status([finding])
