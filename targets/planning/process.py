@@ -25,7 +25,7 @@ from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World
 
-JUDGE = "targets.planning.ask:Asked"  # default class that calls a planner and checks its paths
+JUDGE = "targets.planning.ask:PlannerJudge"  # default class that calls a planner and checks its paths
 SHARE = 0.7  # share of the time budget that the planner gets; the rest is for pipes and for the check of the path
 PATIENCE = 1.0  # seconds without an answer after which a planner's process is killed and restarted
 STARTING = 30.0  # seconds within which a planner must be created; a slow computer needs some seconds to load packages
