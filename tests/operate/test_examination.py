@@ -6,7 +6,7 @@ import asyncio
 import json
 from typing import Any
 
-from koordgen.operate.examination import Examined, examine, table, to_json, worst
+from koordgen.operate.examination import HostExamination, examine, table, to_json, worst
 from koordgen.operate.hosts import HostError
 from tests.operate.fakes import FakeSession, reached, unreachable
 
@@ -25,7 +25,7 @@ class Doctors(FakeSession):
         return {"status": 5 if robot == "cleo" else 0, "document": {"app": "a", "findings": findings}}
 
 
-def looked() -> list[Examined]:
+def looked() -> list[HostExamination]:
     return asyncio.run(examine(reached(Doctors("alice", "bert"), Doctors("cleo"), Doctors("dora"))))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from koordgen.runtime.program.property import (
-    Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
+    GoalCall, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
 )
 from koordgen.runtime.values.containers import last
 from koordgen.runtime.values.gridmap import GridMap
@@ -154,7 +154,7 @@ def assume_motion(s: Step) -> bool:
     )
 
 
-def surely_assume_motion(b: Any) -> Any:
+def screening_assume_motion(b: Any) -> Any:
     """Screening of many observations at once: where this is true, the formula holds."""
     return b.either(
         b.in_rect(
@@ -203,14 +203,14 @@ PROPERTIES = Properties(
             holds=assume_motion,
             reads=("Motion.position'", "Motion.position", "Motion.target"),
             goals=(),
-            surely=surely_assume_motion,
+            screening=screening_assume_motion,
         ),
         Assumption(
             module="Motion",
             line=52,
             holds=assume_motion_2,
             reads=(),
-            goals=(Asking(port="Motion.planner", arguments=1, goals={0: "my_goal"}),),
+            goals=(GoalCall(port="Motion.planner", arguments=1, goals={0: "my_goal"}),),
         ),
     ),
     unchecked=(
