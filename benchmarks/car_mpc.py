@@ -30,13 +30,13 @@ from typing import Any, Protocol
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.fixtures.slalom import LIMITS, aside, slalom_path
-from targets.car.base.bicycle import State
+from targets.car.base.bicycle import BicycleState
 from targets.car.control.mpc import STEP, STEPS, Command
 from targets.car.control.solver import compiled
 from targets.car.control.solver.fallback import CasadiSolver, nonlinear_program, upper_bounds
 from targets.car.control.solver.model import INPUTS, STATES, step
 from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Solver
-from targets.car.control.tracker import Track
+from targets.car.control.tracker import TrackedPath
 
 NOISE = 0.003  # m, rad; standard deviation of position and heading in each step
 ARCS, QUICK_ARCS = 12, 3
@@ -135,9 +135,9 @@ class Loop:
     """Closed loop of one contender, with its measurements."""
 
     contender: Contender
-    track: Track
+    track: TrackedPath
     dice: random.Random
-    state: State
+    state: BicycleState
     wall: list[float] = field(default_factory=list)
     spent: list[float] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
@@ -160,7 +160,7 @@ class Loop:
         x, y, yaw, speed, steering = _midpoint(present, (faster, further))
         command = Command(_held(speed, LIMITS.speed), _held(steering, LIMITS.steering))
         x, y, yaw = (v + self.dice.gauss(0.0, NOISE) for v in (x, y, yaw))
-        self.state = State(x, y, yaw, command.speed, command.steering)
+        self.state = BicycleState(x, y, yaw, command.speed, command.steering)
         self.errors.append(aside(self.track.segment, x, y))
 
 
@@ -207,7 +207,7 @@ def measure(arcs: int) -> dict[str, Figures]:
     path = slalom_path(arcs)
     first = path.poses[0]
     loops = {
-        name: Loop(contender, Track(path, LIMITS), random.Random(1), State(first.x, first.y, first.yaw))
+        name: Loop(contender, TrackedPath(path, LIMITS), random.Random(1), BicycleState(first.x, first.y, first.yaw))
         for name, contender in contenders().items()
     }
     for loop in loops.values():  # the agent also solves once before it drives

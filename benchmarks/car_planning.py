@@ -44,7 +44,7 @@ from benchmarks.fixtures.car_rooms import room, solvable
 from benchmarks.fixtures.car_scenes import CAR, Case, ask, case, curve
 from koordgen.runtime.values.obstacles import Block, Cylinder, Obstacle
 from koordgen.runtime.values.points import Point
-from targets.car.planning.ask import Asked
+from targets.car.planning.ask import CarJudge
 from targets.car.planning.planner import segments
 from targets.planning.process import SHARE
 
@@ -90,7 +90,7 @@ def one_of_ours(row: Row, scene: Case, seconds: float, patience: float, reverse:
     `seconds` and `patience` are CPU time.
     """
     world = scene.world(reverse, seed=None)
-    asked = Asked("rrt" if seconds == 0.0 else "rrt-smoothed", world)
+    asked = CarJudge("rrt" if seconds == 0.0 else "rrt-smoothed", world)
     goal, heading = Point(scene.goal[0], scene.goal[1], 0.0), scene.goal[2] if pose else None
     with mock.patch("targets.planning.limit.time", SimpleNamespace(perf_counter=time.process_time)):
         answer = row.timed(lambda: ask(asked, scene.start, goal, seconds=seconds, heading=heading, patience=patience))

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.fixtures.deployed import Deployed, deployed, place
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.ops.control import Control
-from koordgen.runtime.ops.opening import open_settings
+from koordgen.runtime.ops.set_up import open_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 HOSTS, QUICK = 20, 4

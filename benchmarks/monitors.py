@@ -52,7 +52,7 @@ class Moving:
     """Body with the ports of any module. It moves slowly to its targets, which are a step away and never reached."""
 
     period = DELTA
-    ready = rested = True
+    ready = stopped = True
     progress = "moving"
     stall = ""
 
@@ -91,12 +91,12 @@ class Moving:
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def hold(self, on: bool, now: float) -> None: ...
 
-    def rest(self, now: float) -> None: ...
+    def stop(self, now: float) -> None: ...
 
     def close(self) -> None: ...
 

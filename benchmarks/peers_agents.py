@@ -19,9 +19,9 @@ from koordgen.runtime.config.settings import Box, Network, Origin, Peer, Setting
 from koordgen.runtime.net.codec import decode
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import RoundMessage
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from koordgen.runtime.program.program import Cell, Event, Frame, Program, Slots, Transaction, Variable
-from koordgen.runtime.trace.writer import Record, Trace
+from koordgen.runtime.trace.writer import RoundRecord, Trace
 from koordgen.runtime.values.bounds import Fixed, Text
 from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.values.points import Point
@@ -80,7 +80,7 @@ class Still:
 
     period = 0.1
     ready = True
-    rested = True
+    stopped = True
     progress = "standing"
     stall = ""
 
@@ -101,12 +101,12 @@ class Still:
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def hold(self, on: bool, now: float) -> None: ...
 
-    def rest(self, now: float) -> None: ...
+    def stop(self, now: float) -> None: ...
 
     def close(self) -> None: ...
 
@@ -159,7 +159,7 @@ def run_agent(
     clock, given = SystemClock(), settings(pid, ports, delta, transport)
     skipped: dict[int, str] = {}
 
-    def note(record: Record) -> None:
+    def note(record: RoundRecord) -> None:
         if record.event is None or record.skipped:
             skipped[record.round] = record.skipped or "no event"
 

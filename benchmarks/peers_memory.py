@@ -27,7 +27,7 @@ from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Entry
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from koordgen.runtime.program.program import Life
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.messages import HardState
@@ -75,7 +75,7 @@ def open_driver(
     inits = [Entry(p, 0, 0, 0) for p in range(n)]
     layout, hard_state = Layout(ours.shared, n), first_hard_state(n)
     state = StateMachine.begin(layout, pid, hard_state.view, inits)
-    replica = Replica(pid, layout, state, hard_state, given.safety.peer_timeout, link.speech.room)
+    replica = Replica(pid, layout, state, hard_state, given.safety.peer_timeout, link.sender.room)
     return Driver(replica, link, persist, lambda private: None), link
 
 

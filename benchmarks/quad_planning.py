@@ -41,7 +41,7 @@ from benchmarks.fixtures.arenas import (
 )  # fmt: skip
 from koordgen.runtime.values.obstacles import Obstacle
 from koordgen.runtime.values.points import Point, distance
-from targets.planning.ask import Asked
+from targets.planning.ask import PlannerJudge
 from targets.planning.room import Room, fixed, room
 from targets.planning.rrt import length
 from targets.planning.world import Path, World
@@ -127,7 +127,7 @@ def plans(seeds: list[int], peer_path: str | None) -> tuple[list[dict[str, Any]]
         row: dict[str, Any] = {"seed": seed, "obstacles": len(bodies), "lattice": tight(lattice, here)}
         checker = Checker(bodies)
         for name, seconds in (("rrt", 0.04), ("rrt-smoothed", 0.007), ("rrt-smoothed", 0.04), ("rrt-star", 0.04)):
-            asked = Asked(name, world)
+            asked = PlannerJudge(name, world)
             asked.answer(START, GOAL, NOWHERE, 0.001)
             began, worked = time.perf_counter(), time.process_time()
             path, _ = asked.answer(START, GOAL, NOWHERE, seconds)

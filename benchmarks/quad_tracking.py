@@ -32,7 +32,7 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
 from targets.mavlink.link import Link
 from targets.mavlink.transport import opened
-from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.flight import Flight, FlightPhase
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.motion import Motion
 from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, setpoint
@@ -103,7 +103,7 @@ class Connected:
                     return LocalFrame(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
             if self.link.vehicle is not None and now - asked > 1.0:
                 asked = now
-                self.link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, position, 1e6 / 20)
+                self.link.send_once(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, position, 1e6 / 20)
         raise Unready(f"no autopilot with a position on {url} within 90 s")
 
 
@@ -153,15 +153,15 @@ class Pilot:
             if self.flight.progress != said:
                 said = self.flight.progress
                 print(f"  {said}", file=sys.stderr)
-            if self.flight.phase is Phase.FLYING:
+            if self.flight.phase is FlightPhase.FLYING:
                 return
         raise Unready(f"not in the air after 180 s: {said}")
 
     def land(self) -> None:
-        self.flight.rest(self.world.now())
+        self.flight.stop(self.world.now())
         for _ in range(round(90 / TICK)):
             self.tick()
-            if self.flight.phase is Phase.RESTED:
+            if self.flight.phase is FlightPhase.STOPPED:
                 return
         raise Unready(f"not landed after 90 s: {self.flight.progress}")
 

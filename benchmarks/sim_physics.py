@@ -225,7 +225,7 @@ def lidars(count: int, turns: int) -> Lidars:
     for car in driven:
         motion = car.motion()
         eyes.append(LidarMount((*car.state().position[:2], motion.position[2] + 1e-3), RAYS, 6.0, car.rigid.number))
-        world.engine.take(
+        world.engine.set_pose(
             car.rigid.number, motion.position, motion.orientation
         )  # PyBullet's rays use the poses in the engine
 

@@ -196,7 +196,7 @@ def test_the_compiler_needs_no_robot_package(path: Path) -> None:
 
 
 def test_what_is_found_can_be_told_without_any_package() -> None:
-    code = "import sys; sys.modules['msgspec'] = None; import koordgen.runtime.ops.findings"
+    code = "import sys; sys.modules['msgspec'] = None; import koordgen.runtime.ops.checks"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 
 

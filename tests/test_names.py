@@ -86,8 +86,8 @@ LEFT: dict[str, tuple[int, int]] = {
     "koordgen/verify": (42, 2),
     "targets/car": (41, 5),
     "targets/mavlink": (7, 0),
-    "targets/planning": (11, 1),
-    "targets/quad": (33, 1),
+    "targets/planning": (4, 0),
+    "targets/quad": (16, 1),
     "targets/sim": (75, 4),
 }
 

@@ -30,7 +30,7 @@ SAFETY: dict[str, Any] = {
     "peer_timeout": 10,
     "outside_fence": 0.5,
 }
-MISSED_ACTIONS = ("hold", "rest")  # equal to those of settings.py (tested)
+MISSED_ACTIONS = ("hold", "stop")  # equal to those of settings.py (tested)
 MONITOR_ACTIONS = ("off", "log", "hold", "land", "stop")  # equal to those of settings.py (tested)
 LEAST_TIMEOUT = 3  # rounds: a lost datagram is requested one round later, and the answer may be lost as well
 GOING_ON = 5  # rounds after `peer_timeout` within which the other robots have removed a dead robot and continue
@@ -183,19 +183,19 @@ def _safety(reader: YamlReader, node: YamlNode | None) -> dict[str, Any]:
         what = f"safety.{key}"
         match key:
             case "missed_action":
-                found[key] = reader.choice(value, what, MISSED_ACTIONS)
+                found[key] = reader.choice(value, what, MISSED_ACTIONS, {"rest": "stop"})
             case "missed_rounds":
                 found[key] = reader.number(value, f"{what} (rounds)", 1, 10000, int)
             case "peer_timeout":
                 found[key] = reader.number(value, f"{what} (rounds)", LEAST_TIMEOUT, 10000, int)
             case _:
                 found[key] = reader.number(value, f"{what} (seconds)", 0.05, 10000.0)
-    if None in found.values() or found["missed_action"] != "rest":
+    if None in found.values() or found["missed_action"] != "stop":
         return found
     recovery, missed = found["peer_timeout"] + GOING_ON, found["missed_rounds"]
     if missed <= recovery:
         message = (
-            f"missed_action rest after {missed} rounds would stop all robots when one robot is lost: the others miss "
+            f"missed_action stop after {missed} rounds would stop all robots when one robot is lost: the others miss "
             f"up to peer_timeout + {GOING_ON} = {recovery} rounds before they continue without it"
         )
         help = f"write `missed_rounds: {recovery + 1}` or more, or a shorter peer_timeout"

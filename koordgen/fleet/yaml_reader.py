@@ -7,7 +7,7 @@ nested aliases can stand for more values than fit into memory.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import yaml
@@ -163,12 +163,16 @@ class YamlReader:
             return None
         return value
 
-    def choice(self, node: YamlNode | None, what: str, known: tuple[str, ...]) -> str | None:
-        """Return a text that is one of `known`."""
+    def choice(
+        self, node: YamlNode | None, what: str, known: tuple[str, ...], renamed: Mapping[str, str] | None = None
+    ) -> str | None:
+        """Return a text that is one of `known`. `renamed` maps names of earlier versions to those of today."""
         text: str | None = self.scalar(node, what, str)
         if text is None or node is None or text in known:
             return text
-        self.report("F005", f"{what} cannot be {text!r}", node, f"possible values: {', '.join(known)}")
+        now = renamed.get(text) if renamed else None
+        help = f"{text!r} is called {now!r} now: write {now}" if now else f"possible values: {', '.join(known)}"
+        self.report("F005", f"{what} cannot be {text!r}", node, help)
         return None
 
     def vector(self, node: YamlNode | None, what: str) -> list[float] | None:

@@ -25,20 +25,21 @@ from koordgen.runtime.ops.host import pip_install
 from koordgen.runtime.vehicle.datagrams import raw_clock
 
 RATE = 50.0  # default of the highest rate of datagrams to one robot, in Hz
-TOLD_EVERY = 1.0  # seconds between two summary lines
+SUMMARY_EVERY = 1.0  # seconds between two summary lines
 SESSION = "basestation.session"  # file beside the fleet file that holds the session number of the last run
-LOST = 1.0  # seconds without a pose after which a robot is shown as not seen
+LOST = 1.0  # the summary shows a robot as not seen after this many seconds without a pose
+
 # A frame is sent up to this fraction of a period early. Otherwise jitter would drop every second frame if the
 # cameras' rate is near the rate of datagrams.
 _JITTER = 0.25
-_LOOK = 0.2  # seconds at most to wait for a frame, so that the summary is printed without frames, too
+_LOOK = 0.2  # longest wait for a frame in seconds; it is short, so the summary is printed even if no frame arrives
 
 Body = tuple[Vector, Quaternion]
-Frame = tuple[float, dict[str, Body]]  # time of arrival in seconds, and the rigid bodies by name
+Frame = tuple[float, dict[str, Body]]  # a frame: its time of arrival in seconds, and the rigid bodies by name
 
 
 class CannotServe(Exception):
-    """The base station cannot send poses; `help` says what to do."""
+    """Raised if the base station cannot send poses; `help` says what to do."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -46,7 +47,7 @@ class CannotServe(Exception):
 
 
 class WrongFiles(CannotServe):
-    """The fleet file or the key cannot be used."""
+    """Raised if the fleet file or the key cannot be used."""
 
 
 class Receiver(Node):
@@ -69,11 +70,13 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
         if kind != "udp" or not port:
             raise WrongFiles(
                 f"{robot.name}: {feed.setting} {robot.settings[feed.setting]!r} is not understood",
-                "write it as udp:HOST:PORT, as in udp:0.0.0.0:47300",
+                "in the fleet file, write the address as udp:HOST:PORT, for example udp:0.0.0.0:47300",
             )
         found.append(Receiver(robot.name, robot.host if host == "0.0.0.0" else host, port))
     if not found:
-        raise WrongFiles("no robot of this fleet takes a position feed", "quads do with `positioning: vision`, say")
+        raise WrongFiles(
+            "no robot of this fleet receives a position feed", "a quad receives a feed with `positioning: vision`"
+        )
     return tuple(found)
 
 
@@ -126,7 +129,7 @@ class Forwarder:
         sample = Sample(name, self._session, self._sequence, now, place, now - measured, self._application)
         return encode(sample, self._key)
 
-    def told(self, now: float, seconds: float) -> str:
+    def summary(self, now: float, seconds: float) -> str:
         """Return a one-line summary of what was forwarded in the last `seconds`."""
         words = []
         for name, sent in self._sent.items():
@@ -162,7 +165,7 @@ class Camera:
                 found = error
             if self.frames.full():
                 with suppress(queue.Empty):
-                    self.frames.get_nowait()  # old frames are of no use
+                    self.frames.get_nowait()  # drop the oldest frame: only recent poses are useful
             self.frames.put(found)
             if isinstance(found, Exception):
                 return
@@ -196,7 +199,7 @@ def connected(name: str, host: str) -> Any:
         return motioncapture.connect(name, {"hostname": host})
     except Exception as error:
         raise CannotServe(
-            f"{name} at {host}: {error}", "is it switched on, does it stream, and is the name of the system right?"
+            f"{name} at {host}: {error}", "check that the system is switched on and streams, and that its name is right"
         ) from None
 
 
@@ -211,8 +214,8 @@ class Station:
         self._addresses = {receiver.robot: _resolved(receiver) for receiver in to}
         self.camera = Camera(system)
 
-    def serve(self, told: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
-        """Send poses until the capture system fails; call `told` with a summary line each second.
+    def serve(self, report: Callable[[str], None], clock: Callable[[], float] = raw_clock) -> None:
+        """Send poses until the capture system fails; call `report` with a summary line each second.
 
         Raises CannotServe when the motion capture system fails.
         """
@@ -222,16 +225,16 @@ class Station:
             while True:
                 with suppress(queue.Empty):
                     self._pass_on(sender, self.camera.frames.get(timeout=_LOOK), clock)
-                if (now := clock()) - said >= TOLD_EVERY:
-                    told(self._forwarder.told(now, now - said))
+                if (now := clock()) - said >= SUMMARY_EVERY:
+                    report(self._forwarder.summary(now, now - said))
                     said = now
 
     def _pass_on(self, sender: socket.socket, found: Frame | Exception, clock: Callable[[], float]) -> None:
         if isinstance(found, Exception):
-            raise CannotServe(f"the motion capture system is gone: {found}", "start again when it is there")
+            raise CannotServe(f"the motion capture system failed: {found}", "repair it, then run the command again")
         measured, bodies = found
         for robot, datagram in self._forwarder.frame(bodies, measured, clock()).items():
-            with suppress(OSError):  # the socket's buffer is full, or no agent listens there yet
+            with suppress(OSError):  # the socket's buffer is full, or no agent listens at the robot's address yet
                 sender.sendto(datagram, self._addresses[robot])
 
 
@@ -275,7 +278,8 @@ def _resolved(receiver: Receiver) -> tuple[Any, ...]:
         return socket.getaddrinfo(receiver.host, receiver.port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except (OSError, UnicodeError) as error:
         raise CannotServe(
-            f"{receiver.robot}: no address for {receiver.host}: {error}", "see `address` in the fleet file"
+            f"{receiver.robot}: no address for {receiver.host}: {error}",
+            "correct the robot's `address` in the fleet file",
         ) from None
 
 
@@ -290,9 +294,9 @@ def keyed(fleet: Fleet, path: str, key_path: str | None) -> bytes | None:
     try:
         return load_key(Path(key_path) if key_path is not None else beside if beside.exists() else Path(fleet.key))
     except BadKey as error:
-        raise WrongFiles(str(error), "`--key FILE` names another") from None
+        raise WrongFiles(str(error), "name another key file with `--key FILE`") from None
 
 
 def all_targets() -> dict[str, Target]:
-    """Return all targets by name."""
+    """Return all installed targets by name."""
     return {name: load(name) for name in available()}

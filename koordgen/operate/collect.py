@@ -1,6 +1,6 @@
 """Collection of robots' traces and logs from their hosts into one run folder.
 
-A file is fetched as NAME.part, and is renamed to NAME when it is complete, as long as it was on the host at the start.
+A file is fetched as NAME.part. It is renamed to NAME when it is as long as the host's file was at the start.
 A later collection into the same folder fetches only the missing bytes. Whenever a robot's agent starts again, its
 current trace on the host is renamed to an older, numbered part (koordgen/runtime/trace/parts.py). The collection
 recognises such a part by its last bytes, and does not fetch it again.
@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import IO, Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.hosts import HostError, Sessions, SshSession
 from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE
 from koordgen.runtime.trace.parts import base_of, numbered
@@ -29,11 +29,11 @@ MARKER = ".koord-collect"  # file with the state for later collections; a simula
 LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # largest number of bytes that one request fetches
-OVERLAP = 512  # bytes that are fetched again and compared, to check that a file continues the one fetched before
+OVERLAP = 512  # bytes at a local file's end, fetched again to check that the host's file continues the local file
 
 
 class CannotCollect(Exception):
-    """The folder cannot be used, or the files of one robot cannot be collected into it.
+    """Raised if the folder cannot be used, or a robot's files cannot be collected into it.
 
     `help` says what to do.
     """
@@ -44,14 +44,14 @@ class CannotCollect(Exception):
 
 
 class Collected(Node):
-    """Number of files of one robot, and the bytes that this collection fetched."""
+    """Number of one robot's files, and number of bytes that this collection fetched for the robot."""
 
     robot: str
     files: int
     fetched: int
 
 
-class Folder:
+class CollectionFolder:
     """Context manager: a run folder, locked for one collection.
 
     Raises CannotCollect when the folder holds files of another origin, or another collection uses it; OSError.
@@ -62,11 +62,11 @@ class Folder:
         self._marker: IO[str] | None = None
         self._known: dict[str, Any] = {}
 
-    def __enter__(self) -> Folder:
+    def __enter__(self) -> CollectionFolder:
         path = self.path
         if path.exists() and (not path.is_dir() or (any(path.iterdir()) and not (path / MARKER).is_file())):
             raise CannotCollect(
-                f"{path}: holds something that `koordgen collect` did not write", "choose another -o FOLDER"
+                f"{path}: contains files that `koordgen collect` did not write", "choose another folder with -o"
             )
         path.mkdir(parents=True, exist_ok=True)
         self._marker = (path / MARKER).open("a+", encoding="utf-8")
@@ -74,7 +74,9 @@ class Folder:
             fcntl.flock(self._marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._marker.close()
-            raise CannotCollect(f"{path}: another collection into it runs", "wait for its end") from None
+            raise CannotCollect(
+                f"{path}: another collection runs here", "wait until the other collection has ended"
+            ) from None
         self._marker.seek(0)
         with suppress(ValueError):
             found = json.loads(self._marker.read() or "{}")
@@ -125,7 +127,7 @@ class Collection(Node):
     programs: list[dict[str, bytes]]
 
 
-async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int], None]) -> Collection:
+async def collect_all(sessions: Sessions, into: CollectionFolder, progress: Callable[[int], None]) -> Collection:
     """Fetch the traces and logs of all robots into the folder, from all hosts in parallel."""
     found: dict[str, Collected] = {}
     missed: dict[str, HostError | CannotCollect | OSError] = {
@@ -133,13 +135,13 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
     }
     programs: list[dict[str, bytes]] = []
 
-    async def of_host(session: Session) -> None:
+    async def of_host(session: SshSession) -> None:
         for robot in session.host.robots:
             try:
                 ahead = (await clock_offset(session)).ahead
                 try:
                     found[robot] = await collect(session, robot, into, ahead, progress)
-                except CannotCollect:  # the agent may have begun another part after the files were listed: try again
+                except CannotCollect:  # try again: the agent may have begun another part after the files were listed
                     found[robot] = await collect(session, robot, into, ahead, progress)
                 if not programs:
                     programs.extend(await _programs(session, robot))
@@ -150,10 +152,10 @@ async def collect_all(sessions: Sessions, into: Folder, progress: Callable[[int]
     return Collection(found, missed, programs)
 
 
-async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
+async def _programs(session: SshSession, robot: str) -> list[dict[str, bytes]]:
     """Return the program files of each release on the host, which are needed to replay a trace.
 
-    They are the program, its params and its extern functions.
+    The files are the program, its params and its extern functions.
     """
     deployment = (await session.call("inspect"))["deployment"]
     found = []
@@ -165,7 +167,7 @@ async def _programs(session: Session, robot: str) -> list[dict[str, bytes]]:
 
 
 async def collect(
-    session: Session, robot: str, into: Folder, ahead: float, progress: Callable[[int], None]
+    session: SshSession, robot: str, into: CollectionFolder, ahead: float, progress: Callable[[int], None]
 ) -> Collected:
     """Fetch one robot's traces and log into the folder. Raises HostError, CannotCollect, OSError.
 
@@ -184,15 +186,15 @@ async def collect(
 
 
 def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
-    """Raise CannotCollect unless all names are those of trace files: they become paths on this computer."""
+    """Raise CannotCollect unless all names are names of trace files: names become local paths."""
     for name in names:
         if "/" in name or not name.startswith(TRACE.partition(".")[0]) or not name.endswith(".jsonl"):
             raise CannotCollect(
-                f"{robot}: its host lists {name!r}, which is no trace", "look at the folder traces/ there"
+                f"{robot}: its host lists {name!r}, which is no trace", "look at the folder traces/ on the robot's host"
             )
 
 
-async def _recognise_current(session: Session, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
+async def _recognise_current(session: SshSession, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
     """Rename the current trace of an earlier collection if it has become a numbered part on the host.
 
     Returns the number of bytes that were fetched to find out.
@@ -210,7 +212,8 @@ async def _recognise_current(session: Session, robot: str, folder: Path, sizes: 
             still, more = await _is_continued(session, robot, TRACE, current, sizes.get(TRACE, 0))
             if not still:
                 raise _other(current)
-            return fetched + more  # the agent began another part during the last collection: the name is right
+            # the agent began this part during the last collection, so the local file has the right name already
+            return fetched + more
     current.replace(folder / name)
     (folder / f"{TRACE}{PART}").unlink(missing_ok=True)
     return fetched
@@ -222,7 +225,7 @@ def _number(name: str) -> int:
     return int(number) if dash and number.isdecimal() else 0
 
 
-async def _fetch(session: Session, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
+async def _fetch(session: SshSession, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
     """Complete the local copy of a file up to `size` bytes; return the number of bytes fetched.
 
     Raises CannotCollect when the local file is not a beginning of the file on the host.
@@ -252,7 +255,7 @@ async def _fetch(session: Session, robot: str, path: Path, size: int, progress: 
     return fetched
 
 
-async def _is_continued(session: Session, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
+async def _is_continued(session: SshSession, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
     """Return whether a file of `size` bytes on the host continues the file `path`, and the bytes fetched.
 
     Only the last OVERLAP bytes of the local file are compared.
@@ -267,28 +270,29 @@ async def _is_continued(session: Session, robot: str, name: str, path: Path, siz
         return file.read(length) == data, length
 
 
-async def _bytes(session: Session, robot: str, name: str, offset: int, length: int) -> bytes:
+async def _bytes(session: SshSession, robot: str, name: str, offset: int, length: int) -> bytes:
     answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
     if len(answer.data) != length:
         raise CannotCollect(
-            f"{robot}: {name} has changed while it was fetched", "collect again: what was fetched stays"
+            f"{robot}: {name} has changed while it was fetched", "run the command again; complete files are kept"
         )
     return answer.data
 
 
 def _other(path: Path) -> CannotCollect:
-    help = "collect into a new folder: what stands in this one is kept"
-    return CannotCollect(f"{path} is of another recording than the file of that name on the robot", help)
+    help = "collect into a new folder; the files in this folder are kept"
+    return CannotCollect(f"{path} is of another recording than the robot's file of the same name", help)
 
 
-async def _fetch_log(session: Session, robot: str, into: Folder, ahead: float) -> int:
+async def _fetch_log(session: SshSession, robot: str, into: CollectionFolder, ahead: float) -> int:
     """Append a robot's new log lines, with times by this computer's clock.
 
     Return the number of bytes written.
     """
     path, known, fetched = into.robot(robot) / LOG, into.known(robot), 0
     with path.open("ab") as file:
-        file.truncate(int(known.get("size", 0)))  # lines after the last recorded state are fetched again
+        # first remove the lines after the recorded state: they are fetched again
+        file.truncate(int(known.get("size", 0)))
         file.seek(0, os.SEEK_END)
         cursor = known.get("next", 0.0)
         while True:

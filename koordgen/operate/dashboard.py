@@ -2,7 +2,7 @@
 
 Each robot has its own thread, so a robot that does not answer, or a slow name lookup, delays no other robot. As long as
 a robot answers, its report is shown at most EVERY + WITHIN seconds after the agent made it.
-Nothing is changed on any robot.
+The requests change nothing on any robot.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.estop import Fleet, Place
-from koordgen.operate.status import Asked, ask_one, odd_releases
+from koordgen.operate.estop import Place, StoppableFleet
+from koordgen.operate.status import StatusAnswer, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one status request to a robot to the next
-WITHIN = 0.5  # seconds to wait for an answer
+WITHIN = 0.5  # seconds that a robot has to answer a request
 
-Take = Callable[[int, Asked], None]
+OnAnswer = Callable[[int, StatusAnswer], None]
 
 
 class Poller:
     """Poller: requests the status of all robots periodically until it is closed.
 
-    `take` is called with the robot's index in `fleet.places` and its answer, also if that has no report. Several
-    threads call it.
+    `on_answer` is called with a robot's index in `fleet.places` and the robot's answer, with or without a report.
+    Several threads call `on_answer`.
     """
 
-    def __init__(self, fleet: Fleet, key: bytes | None, take: Take) -> None:
-        self._fleet, self._key, self._take = fleet, key, take
+    def __init__(self, fleet: StoppableFleet, key: bytes | None, on_answer: OnAnswer) -> None:
+        self._fleet, self._key, self._on_answer = fleet, key, on_answer
         self._over = threading.Event()
-        self._last: dict[int, Asked] = {}  # the last answer of each robot that ever answered
+        self._last: dict[int, StatusAnswer] = {}  # last answer of each robot that has answered
         self._threads = [
             threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet.places))
         ]
@@ -46,14 +46,14 @@ class Poller:
             thread.start()
 
     def close(self) -> None:
-        """End all threads. After the return, `take` is not called any more."""
+        """Stop polling and end all threads. Afterwards `on_answer` is not called any more."""
         self._over.set()
         for thread in self._threads:
             thread.join()
 
     @property
     def odd(self) -> frozenset[str]:
-        """Names of the robots whose release, by their last answers, differs from that of most robots."""
+        """Return the robots whose release, in their last answer, differs from the release of most robots."""
         return frozenset(odd_releases(list(self._last.values())))
 
     def _ask(self, index: int) -> None:
@@ -63,22 +63,22 @@ class Poller:
             asked = ask_one(place, application, self._key, began, WITHIN)
             if asked.report is not None:
                 self._last[index] = asked
-            self._take(index, asked)
+            self._on_answer(index, asked)
             self._over.wait(max(0.0, began + EVERY - time.monotonic()))
 
 
 class Facts(Node):
-    """Facts about a fleet that its robots do not report.
+    """Facts about a fleet that the robots do not report themselves.
 
     fleet: the robots in the order of their process ids (pid: index of a robot in the fleet).
-    plain: plain values: obstacles, world, the targets by robot.
+    plain: JSON-like values: obstacles, world, and the target of each robot.
     """
 
-    fleet: Fleet
+    fleet: StoppableFleet
     plain: Mapping[str, Any]
 
 
-def built_facts(fleet: Fleet, path: Path) -> Facts:
+def built_facts(fleet: StoppableFleet, path: Path) -> Facts:
     """Return the facts in the robots' settings, from a folder of `koordgen build` or of a simulated run.
 
     A robot that is named only in the settings of other robots is listed with port 0.
@@ -96,4 +96,4 @@ def built_facts(fleet: Fleet, path: Path) -> Facts:
         return Facts(fleet, {})
     ordered = tuple([places.get(name, Place(name, "", 0)) for name in names])
     plain = {"obstacles": found[0].get("obstacles", [])}
-    return Facts(Fleet(ordered, fleet.application, fleet.key, fleet.folder), plain)
+    return Facts(StoppableFleet(ordered, fleet.application, fleet.key, fleet.folder), plain)

@@ -15,13 +15,13 @@ from pathlib import Path
 from koordgen.lang.node import Node
 
 LOOPBACK = "127.0.0.1"
-SHORTEST_TOKEN = 32  # characters
+SHORTEST_TOKEN = 32  # smallest length of a token, in characters
 
 
-class Refused(Exception):
-    """The dashboard cannot start; `help` says what to do.
+class AccessRefused(Exception):
+    """Raised if the dashboard cannot start; `help` says what to do.
 
-    `usage`: the reason is a wrong option, not a file.
+    `usage`: True if a wrong option is the reason, False if a file is the reason.
     """
 
     def __init__(self, message: str, help: str, usage: bool = False) -> None:
@@ -31,7 +31,7 @@ class Refused(Exception):
 
 
 class Access(Node):
-    """Address to bind to, TLS context (None: plain HTTP), and token (empty: no token is required)."""
+    """Access settings: address to bind to, TLS context (None: plain HTTP), token (empty: not required)."""
 
     host: str
     tls: ssl.SSLContext | None
@@ -46,11 +46,11 @@ def access(bind: str, port: int, cert: str | None, key: str | None, token: str |
     tunnel = f"or leave out --bind and open an SSH tunnel from the other computer: ssh -L {port}:{LOOPBACK}:{port} "
     tunnel += "USER@THIS_COMPUTER"
     if bool(cert) != bool(key):
-        raise Refused("--tls-cert and --tls-key belong together", "give both, or none of them", usage=True)
+        raise AccessRefused("--tls-cert and --tls-key belong together", "give both options or neither", usage=True)
     if not _is_loopback(bind) and not (cert and key and token):
         missing = [name for name, value in (("--tls-cert", cert), ("--tls-key", key), ("--token", token)) if not value]
         message = f"--bind {bind}: everybody on that network could open the dashboard; {', '.join(missing)} missing"
-        raise Refused(message, f"give {', '.join(missing)}, {tunnel}", usage=True)
+        raise AccessRefused(message, f"give {', '.join(missing)}, {tunnel}", usage=True)
     context = _context(cert, key) if cert and key else None
     return Access(bind, context, read_token(Path(token)) if token else "")
 
@@ -68,15 +68,15 @@ def _context(cert: str, key: str) -> ssl.SSLContext:
     help = "a PEM certificate and its unencrypted PEM key are expected"
     try:
         context.load_cert_chain(cert, key, password=lambda: "")
-    except OSError as error:  # ssl.SSLError is one
-        raise Refused(f"{cert}, {key}: {error.strerror or error}", help) from None
+    except OSError as error:  # includes ssl.SSLError, a subclass of OSError
+        raise AccessRefused(f"{cert}, {key}: {error.strerror or error}", help) from None
     return context
 
 
 def read_token(path: Path) -> str:
     """Return the token in a file that only its owner may read.
 
-    If it does not exist, make it with a new token.
+    If the file does not exist, make it with a new token.
 
     Raises Refused.
     """
@@ -87,12 +87,12 @@ def read_token(path: Path) -> str:
     except FileNotFoundError:
         return _new_token(path)
     except OSError as error:
-        raise Refused(f"{path}: {error.strerror}", "name another file with --token") from None
+        raise AccessRefused(f"{path}: {error.strerror}", "choose another token file: `--token FILE`") from None
     if mode & 0o077:
-        raise Refused(f"{path} has mode {mode:04o}: other users can read it", f"chmod 600 {path}")
+        raise AccessRefused(f"{path} has mode {mode:04o}: other users can read it", f"chmod 600 {path}")
     if len(token) < SHORTEST_TOKEN or not token.isascii() or not token.isprintable() or " " in token:
-        help = "delete it, and the command makes a new one"
-        raise Refused(f"{path} holds no token of at least {SHORTEST_TOKEN} printable characters", help)
+        help = f"delete {path}; the command then makes a new token"
+        raise AccessRefused(f"{path} holds no token of at least {SHORTEST_TOKEN} printable characters", help)
     return token
 
 
@@ -102,5 +102,5 @@ def _new_token(path: Path) -> str:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
             file.write(token + "\n")
     except OSError as error:
-        raise Refused(f"{path}: {error.strerror}", "name another file with --token") from None
+        raise AccessRefused(f"{path}: {error.strerror}", "choose another token file: `--token FILE`") from None
     return token

@@ -3,8 +3,8 @@
 The steps are: stage on all hosts, verify, switch, then confirm in two phases. A host that switched reverts to its old
 release by itself unless the switch is confirmed in time. Phase one (`prepare`) checks that every host can confirm; only
 then phase two (`confirm`) begins. A failure before phase two reverts all hosts. A host that misses phase two reverts by
-itself. The fleet then has two releases; its robots refuse to begin a mission together, and the next deployment repairs
-it.
+itself. The fleet then has two releases: its robots refuse to begin a mission together. The next deployment repairs the
+fleet.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 from koordgen.lang.node import Node
 from koordgen.operate.host_tool_archive import archive
-from koordgen.operate.hosts import Answer, Host, HostError, Options, Session, Sessions, owner, sessions
+from koordgen.operate.hosts import Answer, Host, HostError, Options, Sessions, SshSession, owner, sessions
 from koordgen.operate.release import (
     REQUIREMENTS,
     Bundles,
@@ -34,31 +34,32 @@ from koordgen.operate.release import (
 )
 from koordgen.operate.wheels import CannotFetch, WheelSet, platform_of, wheel_set
 
-CONFIRM_WITHIN = 60.0  # seconds from the switch to the end of `prepare`; as many are added for `confirm`
+# seconds from the switch to the end of `prepare`; `confirm` gets the same number of seconds in addition
+CONFIRM_WITHIN = 60.0
 MOST_CLOCK_ERROR = 60.0  # largest difference in seconds between a host's clock and this computer's clock
 NOTHING_CHANGED = "nothing was changed: every robot keeps its release"
 
-Say = Callable[[str], None]
+Show = Callable[[str], None]
 
 
 class Failed(Exception):
-    """A deployment failed, or the user interrupted it (then `errors` is empty).
+    """Raised if a deployment fails, or if the user interrupts it (then `errors` is empty).
 
-    `outcome` says in one sentence which release every robot has now.
+    `situation` says in one sentence which release every robot has now.
     """
 
-    def __init__(self, errors: Iterable[HostError], outcome: str = NOTHING_CHANGED) -> None:
+    def __init__(self, errors: Iterable[HostError], situation: str = NOTHING_CHANGED) -> None:
         self.errors = tuple(errors)
-        self.outcome = outcome
+        self.situation = situation
         super().__init__("; ".join(map(str, self.errors)))
 
 
 class Missed(Failed):
-    """Some hosts confirmed the release, and others missed phase two."""
+    """Raised if some hosts confirmed the release and other hosts missed phase two."""
 
 
 class Interrupted(Exception):
-    """The user interrupted a phase. `results`: the results and the failures of that phase."""
+    """Raised if the user interrupted a phase. `results`: results and failures of that phase."""
 
     def __init__(self, results: tuple[dict[Host, Any], list[HostError]]) -> None:
         super().__init__("interrupted")
@@ -68,8 +69,8 @@ class Interrupted(Exception):
 class Deployed(Node):
     """Result of a deployment.
 
-    release: the release that all hosts have now.
-    before: the release that each host had before; None: none.
+    release: id of the release that all hosts have now.
+    before: release that each host had before; None if the host had no release.
     changed: hosts that were switched.
     seconds: duration of each phase.
     sent: bytes that were sent to each host.
@@ -100,21 +101,21 @@ class Built(Node):
 class Phases:
     """Phases of one deployment. Each phase runs on all hosts in parallel, and fails if one host fails."""
 
-    def __init__(self, opened: Sessions, say: Say) -> None:
+    def __init__(self, opened: Sessions, show: Show) -> None:
         self.hosts = opened.reached
         self.seconds: dict[str, float] = {}
-        self._say = say
+        self._show = show
 
     async def phase(
         self,
         name: str,
-        ask: Callable[[Session], Awaitable[Any]],
+        ask: Callable[[SshSession], Awaitable[Any]],
         among: Collection[Host] | None = None,
         patient: bool = False,
     ) -> dict[Host, Any]:
         """Run `ask` on the hosts `among` (default: all).
 
-        Raises Failed after all hosts have answered, if one failed.
+        Waits for the answers of all hosts, then raises Failed if a host failed.
         """
         found, failed = await self.attempt(name, ask, among, patient)
         if failed:
@@ -124,7 +125,7 @@ class Phases:
     async def attempt(
         self,
         name: str,
-        ask: Callable[[Session], Awaitable[Any]],
+        ask: Callable[[SshSession], Awaitable[Any]],
         among: Collection[Host] | None = None,
         patient: bool = False,
     ) -> tuple[dict[Host, Any], list[HostError]]:
@@ -134,7 +135,7 @@ class Phases:
             would be unknown after a request that was cut off.
         """
         asked = tuple(each for each in self.hosts if among is None or each.host in among)
-        self._say(f"{name}: {len(asked)} host{'s' if len(asked) != 1 else ''}")
+        self._show(f"{name}: {len(asked)} host{'s' if len(asked) != 1 else ''}")
         began = time.monotonic()
         try:
             work = Sessions(asked, ()).each(ask)
@@ -156,7 +157,7 @@ async def _completed(work: Coroutine[Any, Any, Any]) -> Any:
         raise Interrupted(task.result()) from None
 
 
-def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, say: Say) -> Deployed:
+def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: bool, show: Show) -> Deployed:
     """Deploy the release that was built to all hosts. Raises Failed, Missed, NoHosts."""
 
     async def run(phases: Phases) -> Deployed:
@@ -175,23 +176,23 @@ def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: boo
         await phases.phase("verify", lambda session: session.call("verify", id=name))
         return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_sessions(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
 async def _with_sessions(
-    hosts: Sequence[Host], options: Options, say: Say, run: Callable[[Phases], Awaitable[Deployed]]
+    hosts: Sequence[Host], options: Options, show: Show, run: Callable[[Phases], Awaitable[Deployed]]
 ) -> Deployed:
-    say(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
+    show(f"connect: {len(hosts)} host{'s' if len(hosts) != 1 else ''}")
     began = time.monotonic()
     done: Deployed | None = None
     try:
         async with sessions(hosts, options, archive()) as opened:
             if opened.failed:
                 raise Failed(opened.failed)
-            phases = Phases(opened, say)
+            phases = Phases(opened, show)
             phases.seconds["connect"] = time.monotonic() - began
             done = await run(phases)
-    except asyncio.CancelledError:  # Ctrl-C before the switch, or when all is done
+    except asyncio.CancelledError:  # Ctrl-C before the switch began, or after the deployment ended
         if done is None:
             raise Failed(()) from None
     assert done is not None
@@ -199,22 +200,23 @@ async def _with_sessions(
 
 
 async def _begin(phases: Phases, what: str, service: str = "") -> dict[Host, Answer]:
-    """Lock and inspect all hosts, and refuse those that may not be changed now.
+    """Lock and inspect all hosts; refuse a deployment to hosts that must not be changed now.
 
-    Every deployment locks the first host (by login) before the others. Of two simultaneous deployments, only the one
-    that locked the first host goes on to the other hosts, so the two cannot block each other.
+    Every deployment locks the first host (by login) before the others. If two deployments start together, only the
+    deployment that locks the first host continues, so they cannot block
+    each other.
     """
     first, *rest = sorted(each.host.login.text for each in phases.hosts)
     by_text = {each.host.login.text: each.host for each in phases.hosts}
 
-    async def lock(session: Session) -> Answer:
+    async def lock(session: SshSession) -> Answer:
         return await session.call("lock", owner=owner(), what=what)
 
     await phases.phase("lock", lock, [by_text[first]])
     if rest:
         await phases.phase("lock", lock, [by_text[text] for text in rest])
 
-    async def inspect(session: Session) -> Answer:
+    async def inspect(session: SshSession) -> Answer:
         before = time.time()
         answer = await session.call("inspect")
         _refuse_state(session.host, answer, before, time.time(), service)
@@ -229,22 +231,22 @@ def _refuse_state(host: Host, answer: Answer, before: float, after: float, servi
     The host gave its answer between `before` and `after`, in seconds since 1970 by this computer's clock.
     """
     if not answer["writable"]:
-        help = "an SD card that fails becomes read-only: look at `dmesg`, then mount it for writing"
+        help = "a failing SD card becomes read-only: read `dmesg` on the host, then mount the card for writing"
         raise HostError(host, "read-only", f"{answer['folder']} cannot be written", help)
     flying = {name: robot for name, robot in answer["robots"].items() if robot["running"]}
     if flying:
         named = ", ".join(f"{name} ({robot['phase'] or 'phase unknown'})" for name, robot in flying.items())
         help = "stop the robots and end their agents: `koordgen stop FLEET`"
-        raise HostError(host, "in flight", f"agents run there: {named}", help)
+        raise HostError(host, "in flight", f"agents run on the host: {named}", help)
     error = min(0.0, answer["clock"] - before) + max(0.0, answer["clock"] - after)
     if abs(error) > MOST_CLOCK_ERROR:
         side = "behind" if error < 0 else "ahead of"
-        help = f"`ssh {host.login.user}@{host.login.name} sudo date -u --set=@{after:.0f}` sets it"
-        message = f"its clock is {abs(error):.0f} s {side} this computer's; at most {MOST_CLOCK_ERROR:g} s are allowed"
+        help = f"`ssh {host.login.user}@{host.login.name} sudo date -u --set=@{after:.0f}` sets the clock"
+        message = f"the host's clock is {abs(error):.0f} s {side} this computer's; the limit is {MOST_CLOCK_ERROR:g} s"
         raise HostError(host, "clock", message, help)
     if service == "systemd" and not answer["linger"]:
-        message = f"{answer['user']}'s services would end there when {answer['user']} logs out"
-        help = f"run `sudo loginctl enable-linger {answer['user']}` there, or say `deploy: {{service: none}}`"
+        message = f"{answer['user']}'s services would end on the host when {answer['user']} logs out"
+        help = f"run `sudo loginctl enable-linger {answer['user']}` on the host, or set `deploy: {{service: none}}`"
         raise HostError(host, "linger", message, help)
 
 
@@ -254,20 +256,21 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
         return
     deployed = [host for host, answer in inspected.items() if answer["deployment"]["confirmed"]]
 
-    async def look(session: Session) -> None:
+    async def look(session: SshSession) -> None:
         try:
             confirmed = inspected[session.host]["deployment"]["confirmed"]
             document = (await session.call("release", id=confirmed))["release"]
         except HostError as error:
-            if error.code == "missing":  # the release's files were deleted; this deployment makes new ones
+            # the files of the host's release were deleted; this deployment installs new files
+            if error.code == "missing":
                 return
             raise
         strange = [name for name in document["robots"] if name not in built.bundles]
         other = document["application_id"] != built.application_id
         if strange or other:
             whose = f"application_id {document['application_id']}" if other else f"robots {', '.join(strange)}"
-            message = f"it has a release of another fleet: {document['app']}, {whose}"
-            help = "name another `deploy: {folder: ...}`, or replace that fleet with --take-over"
+            message = f"the host has a release of another fleet: {document['app']}, {whose}"
+            help = "name another folder: `deploy: {folder: ...}`, or replace the other fleet with --take-over"
             raise HostError(session.host, "other fleet", message, help)
 
     if deployed:
@@ -275,13 +278,16 @@ async def _refuse_other_fleets(phases: Phases, inspected: Mapping[Host, Answer],
 
 
 async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: Built) -> dict[Host, WheelSet | None]:
-    """Return the wheels for each host; None for each if the fleet file says `wheels: host`. Raises Failed."""
+    """Return the wheels for each host: None for every host if the fleet file says `wheels: host`.
+
+    Raises Failed.
+    """
     if built.wheels == "host":
         return {each.host: None for each in phases.hosts}
     folder = None if built.wheels == "index" else built.folder / built.wheels
     fetched: dict[Any, asyncio.Future[WheelSet]] = {}
 
-    async def fetch(session: Session) -> WheelSet:
+    async def fetch(session: SshSession) -> WheelSet:
         texts = [built.bundles[robot][REQUIREMENTS].decode() for robot in session.host.robots]
         wanted = "".join(dict.fromkeys(line for text in texts for line in text.splitlines(keepends=True)))
         try:
@@ -303,7 +309,7 @@ async def _send(
     sets: Mapping[Host, WheelSet | None],
     key: bytes | None,
 ) -> None:
-    """Send each host the files that it lacks, and stage its part of the release. It is not current yet."""
+    """Send each host its missing files, and stage its part of the release, without a switch to it."""
     packed: dict[tuple[str, ...], Any] = {}
 
     def pack(contents: list[tuple[str, str, bytes]]) -> Any:
@@ -312,7 +318,7 @@ async def _send(
             packed[names] = list(batches(contents))
         return packed[names]
 
-    async def send(session: Session) -> None:
+    async def send(session: SshSession) -> None:
         host, wheels = session.host, sets[session.host]
         objects = objects_of(bundles, host.robots)
         listed = list(wheels.digests.items()) if wheels else []
@@ -333,7 +339,7 @@ async def _send(
     await phases.phase("send", send)
 
 
-async def _send_key(session: Session, key: bytes | None) -> None:
+async def _send_key(session: SshSession, key: bytes | None) -> None:
     if key is not None:
         await session.call("key", key, id=key_id(key))
 
@@ -351,27 +357,27 @@ async def _switch(phases: Phases, name: str, inspected: Mapping[Host, Answer]) -
             await phases.phase("switch", lambda each: each.call("switch", id=name, seconds=CONFIRM_WITHIN), late, True)
             await phases.phase("prepare", lambda each: each.call("prepare", id=name), late, True)
         except (Failed, Interrupted, asyncio.CancelledError) as error:
-            outcome = await _revert(phases, name, late)
-            raise Failed(error.errors if isinstance(error, Failed) else (), outcome) from None
+            situation = await _revert(phases, name, late)
+            raise Failed(error.errors if isinstance(error, Failed) else (), situation) from None
         await _confirm(phases, name, late)
     sent = {session.host: session.sent for session in phases.hosts}
     return Deployed(name, before, tuple(late), phases.seconds, sent)
 
 
 async def _revert(phases: Phases, name: str, late: Collection[Host]) -> str:
-    """Revert all hosts to the releases before; return one sentence that says which releases they have."""
+    """Revert all hosts to their previous releases; return a sentence that names the robots' releases."""
     _, failed = await phases.attempt("revert", lambda each: each.call("revert", id=name), late)
     if not failed:
         return NOTHING_CHANGED
     named = ", ".join(robot for error in failed for robot in error.host.robots)
     return (
-        f"every robot keeps its release; the hosts of {named} could not be reached, and return to it by themselves "
-        f"within {2 * CONFIRM_WITHIN:g} s"
+        f"every robot keeps its release; the hosts of {named} could not be reached, and return to this release by "
+        f"themselves within {2 * CONFIRM_WITHIN:g} s"
     )
 
 
 async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
-    """Run phase two on all hosts, even after an interrupt: fewer hosts remain to be repaired.
+    """Run phase two on all hosts, even after an interrupt, so that few hosts have to be repaired.
 
     Raises Missed.
     """
@@ -385,14 +391,14 @@ async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
     named = ", ".join(robot for error in failed for robot in error.host.robots)
     raise Missed(
         failed,
-        f"{there} robots have release {name}; {named} missed the second phase, and return to the release before within "
-        f"{2 * CONFIRM_WITHIN:g} s unless the confirmation arrived. The fleet cannot begin a mission; the same command "
-        "repairs it",
+        f"{there} robots have release {name}; {named} missed the second phase, and return to their previous release "
+        f"within {2 * CONFIRM_WITHIN:g} s unless the confirmation arrived. The fleet cannot begin a mission; the same "
+        "command repairs it",
     )
 
 
-def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, say: Say) -> Deployed:
-    """Roll all hosts back to the release `to`, or else to the latest other release that all still have.
+def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, show: Show) -> Deployed:
+    """Roll all hosts back to the release `to`, else to the latest earlier release that all still have.
 
     Raises Failed, Missed, NoHosts.
     """
@@ -401,23 +407,24 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
         inspected = await _begin(phases, "rollback")
         name = _common_release(inspected, to)
 
-        async def check(session: Session) -> None:
-            await session.call("verify", id=name, load=False)  # loading was checked when the release was deployed
+        async def check(session: SshSession) -> None:
+            # the deployment already checked that the bundles load
+            await session.call("verify", id=name, load=False)
             document = (await session.call("release", id=name))["release"]
             _refuse_robots(session.host, document)
             if document["key"] != key_id(key):
-                message = f"release {name} has another key than the one given"
-                help = "after a rotation the key before is in the key's file with `.before` added: name it with --key"
+                message = f"release {name} has a different key from the given key"
+                help = "a rotation copies the previous key to a file whose name ends in `.before`: name it with --key"
                 raise HostError(session.host, "key", message, help)
 
         await phases.phase("verify", check)
         return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_sessions(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
 def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
-    """Return the release to roll back to: `to`, or the newest one that all hosts have and not all run.
+    """Return the target of a rollback: `to`, or the newest release on all hosts that some do not run.
 
     Raises Failed.
     """
@@ -429,26 +436,29 @@ def _common_release(inspected: Mapping[Host, Answer], to: str | None) -> str:
         lacking = [host for host, history in histories.items() if to not in history]
         if lacking:
             raise Failed(
-                HostError(host, "missing", f"release {to} is not there; it has {', '.join(histories[host]) or 'none'}",
+                HostError(host, "missing", f"the host has no release {to}, but {', '.join(histories[host]) or 'none'}",
                           "`koordgen deploy` builds and deploys any program") for host in lacking
             )  # fmt: skip
         return to
     candidates: list[str] = [name for name in common if confirmed != {name}]
     if not candidates:
         help = "`koordgen deploy` deploys the program that you want"
-        message = "there is no release before the present one that all hosts of the fleet have"
+        message = "no earlier release is still on all hosts of the fleet"
         raise Failed(HostError(host, "missing", message, help) for host in list(histories)[:1])
     return candidates[-1]
 
 
 def _refuse_robots(host: Host, document: Mapping[str, Any]) -> None:
     if set(document["robots"]) != set(host.robots):
-        message = f"its release {document['id']} is of {', '.join(document['robots'])}"
+        message = f"the host's release {document['id']} is of robots {', '.join(document['robots'])}"
         raise HostError(host, "other fleet", message, "run `koordgen deploy` with this fleet file first")
 
 
-def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Deployed:
-    """Give all hosts a new key, as a new release with the same bundles. Raises Failed, Missed, NoHosts."""
+def rotate(hosts: Sequence[Host], options: Options, new: bytes, show: Show) -> Deployed:
+    """Install a new key on all hosts, as a new release with the same bundles.
+
+    Raises Failed, Missed, NoHosts.
+    """
 
     async def run(phases: Phases) -> Deployed:
         inspected = await _begin(phases, "key rotate")
@@ -459,7 +469,7 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Dep
         files: dict[Host, FileMap] = {host: answer["files"] for host, answer in present.items()}
         name, parts = parts_of(_fleetwide_of(next(iter(documents.values())), key_id(new)), files, entries)
 
-        async def stage(session: Session) -> None:
+        async def stage(session: SshSession) -> None:
             await _send_key(session, new)
             part = parts[session.host]
             await session.call("stage", release=part.document, files=part.files)
@@ -468,14 +478,17 @@ def rotate(hosts: Sequence[Host], options: Options, new: bytes, say: Say) -> Dep
         await phases.phase("verify", lambda session: session.call("verify", id=name))
         return await _switch(phases, name, inspected)
 
-    return asyncio.run(_with_sessions(hosts, options, say, run))
+    return asyncio.run(_with_sessions(hosts, options, show, run))
 
 
-async def _present(session: Session, inspected: Answer) -> Answer:
-    """Return the confirmed release of a host. Raises HostError if it has none, or one of other robots."""
+async def _present(session: SshSession, inspected: Answer) -> Answer:
+    """Return the confirmed release of a host.
+
+    Raises HostError if the host has no release, or a release of other robots.
+    """
     confirmed = inspected["deployment"]["confirmed"]
     if confirmed is None:
-        raise HostError(session.host, "missing", "no release is there", "run `koordgen deploy` first")
+        raise HostError(session.host, "missing", "the host has no release", "run `koordgen deploy` first")
     answer = await session.call("release", id=confirmed)
     _refuse_robots(session.host, answer["release"])
     return answer
@@ -488,7 +501,8 @@ def _fleetwide_of(document: Mapping[str, Any], key: str) -> Fleetwide:
 def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mapping[str, Mapping[str, str]]) -> None:
     """Raise Failed if the releases of hosts differ in more than the key.
 
-    Releases that differ in the key alone are accepted: some hosts missed an earlier rotation, and this one repairs it.
+    Releases that differ only in the key are accepted: some hosts missed an earlier rotation, which this rotation
+    repairs.
     """
     odd = [
         host for host, document in documents.items()
@@ -497,6 +511,11 @@ def _refuse_several(documents: Mapping[Host, Mapping[str, Any]], entries: Mappin
     if odd:
         help = "run `koordgen deploy` first, which repairs the fleet"
         raise Failed(
-            HostError(host, "mixed", f"its release {documents[host]['id']} is not that of the other robots", help)
+            HostError(
+                host,
+                "mixed",
+                f"the host's release {documents[host]['id']} differs from the other robots' release",
+                help,
+            )
             for host in odd
         )

@@ -14,7 +14,7 @@ _VERSION = re.compile(r'^__version__ = "([^"]*)"', re.MULTILINE)
 
 
 class CannotExamine(Exception):
-    """The bundle cannot be run; `help` says what to do."""
+    """Raised if the bundle cannot be run; `help` says what to do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class CannotExamine(Exception):
 
 
 class NoBundle(CannotExamine):
-    """The folder is not a robot's bundle built by this version of koordgen."""
+    """Raised if the folder is not a robot's bundle built by this version of koordgen."""
 
 
 def robots_bundle(path: str) -> Path:
@@ -37,11 +37,11 @@ def robots_bundle(path: str) -> Path:
     if not (folder / "program.py").is_file():
         agents = ", ".join(sorted(str(p.parent) for p in folder.glob("agents/*/program.py")))
         help = f"the robots that it runs: {agents}" if agents else build
-        raise NoBundle(f"{path}: runs a whole fleet on this host, it is no robot's bundle", help)
+        raise NoBundle(f"{path}: this bundle runs a whole fleet on this computer, so it is not a robot's bundle", help)
     version = _version(folder)
     if version != __version__:
-        help = f"build it anew, or ask the bundle itself: {sys.executable} {path} --doctor"
-        raise NoBundle(f"{path}: made by koordgen {version}, and this is koordgen {__version__}", help)
+        help = f"build the bundle again, or run its own check: {sys.executable} {path} --doctor"
+        raise NoBundle(f"{path}: the bundle was made by koordgen {version}, and this is koordgen {__version__}", help)
     return folder
 
 
@@ -54,7 +54,7 @@ def _version(folder: Path) -> str:
 
 
 def examine(path: str, settings: str | None, form: str) -> int:
-    """Run a bundle with `--doctor`, which prints its findings, and return its exit status.
+    """Run a bundle with `--doctor`, which prints the results of its checks; return its exit status.
 
     Raises CannotExamine.
     """
@@ -63,5 +63,5 @@ def examine(path: str, settings: str | None, form: str) -> int:
         command.append(f"--settings={settings}")
     status = subprocess.run(command, check=False).returncode
     if status < 0:
-        raise CannotExamine(f"{path}: it was killed by {signal.Signals(-status).name}", "start it again")
+        raise CannotExamine(f"{path}: the bundle was killed by {signal.Signals(-status).name}", "start it again")
     return status

@@ -23,12 +23,15 @@ import yaml
 from koordgen.fleet.robots import control_port, parse_address
 from koordgen.lang.node import Node
 from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
-from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, Stop, Stopped, decode, encode
+from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, StopAnswer, StopOrder, decode, encode
 
-BY_HAND = "stop them by hand, now: remote control, kill switch, or cut their power"
+BY_HAND = "stop these robots by hand now: by remote control, by kill switch, or by cutting their power"
 NO_ANSWER = "no answer"
-PATIENCE = 3.0  # seconds for which all robots are called before those without an answer are reported
-STALE_OFFER = 0.3  # seconds without an answer to the stop before a new challenge is requested: agents may restart
+ANSWER_TIMEOUT = 3.0  # seconds for which all robots are called before those without an answer are reported
+
+# Seconds without an answer to the stop before a new challenge is requested, because the agent may have restarted.
+STALE_OFFER = 0.3
+
 # Period in seconds between two stop requests to one robot: _EACH times the number of robots, but at least _SHORTEST.
 _SHORTEST, _EACH = 0.01, 0.0005
 
@@ -42,7 +45,7 @@ class Place(Node):
 
 
 class Called(Node):
-    """Result of one robot's stop.
+    """Result of the stop request to one robot.
 
     place: address that was called.
     phase: phase that the agent reported; empty without an answer.
@@ -57,7 +60,7 @@ class Called(Node):
 
 
 class CannotStop(Exception):
-    """No robot was called, because the fleet file or the key cannot be used."""
+    """Raised if no robot was called, because the fleet file or the key cannot be used."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -65,11 +68,11 @@ class CannotStop(Exception):
 
 
 class BadAddress(CannotStop):
-    """An address given by hand is not HOST:PORT."""
+    """Raised if an address from the command line is not HOST:PORT."""
 
 
-class Fleet(Node):
-    """Robots to be called, and what is needed to authenticate.
+class StoppableFleet(Node):
+    """Robots to be stopped, and the data that authenticate the stop.
 
     places: control ports of the robots.
     application: application_id of the fleet file.
@@ -83,18 +86,18 @@ class Fleet(Node):
     folder: Path = Path()
 
 
-def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
+def find_fleet(path: Path, warn: Callable[[str], None]) -> StoppableFleet:
     """Return the robots of a fleet file, or of a folder that `build` wrote. Raises CannotStop.
 
     If the fleet file cannot be parsed, all addresses in its text and all robots of the last build are returned.
     """
     if path.is_dir():
-        return _built(path, CannotStop(f"{path}: no folder of a robot is in it (its settings.json is looked for)"))
+        return _built(path, CannotStop(f"{path}: this folder contains no robot's folder with a settings.json"))
     text = ""
     try:
         text = path.read_bytes().decode("utf-8", "replace")
         fleet = read_fleet(text)
-        return Fleet(fleet.places, fleet.application, fleet.key, path.parent)
+        return StoppableFleet(fleet.places, fleet.application, fleet.key, path.parent)
     except OSError as error:
         trouble = CannotStop(f"{path}: {error.strerror or error}")
     except CannotStop as error:
@@ -109,22 +112,22 @@ def find_fleet(path: Path, warn: Callable[[str], None]) -> Fleet:
     sources += [f"those of the last build, {built[0]}"] if built and more else []
     warn(f"warning: {trouble}; calling {' and '.join(sources)}")
     if scanned.places or built is None:
-        return Fleet((*scanned.places, *more), scanned.application, scanned.key, path.parent)
-    return Fleet(more, built[1].application, built[1].key, path.parent)
+        return StoppableFleet((*scanned.places, *more), scanned.application, scanned.key, path.parent)
+    return StoppableFleet(more, built[1].application, built[1].key, path.parent)
 
 
-def read_fleet(text: str) -> Fleet:
+def read_fleet(text: str) -> StoppableFleet:
     """Return the entries of a fleet file that are needed to stop its robots. Raises CannotStop."""
     try:
         top = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise CannotStop(f"not YAML: {' '.join(str(error).split())}") from None
+        raise CannotStop(f"the file is not YAML: {' '.join(str(error).split())}") from None
     top = top if isinstance(top, dict) else {}
     robots = top.get("robots")
     if not isinstance(robots, list) or not robots:
-        raise CannotStop("it lists no robots")
+        raise CannotStop("the fleet file lists no robots")
     application, key = top.get("application_id"), top.get("key")
-    return Fleet(
+    return StoppableFleet(
         tuple(_place(i, robot if isinstance(robot, dict) else {}) for i, robot in enumerate(robots)),
         application if isinstance(application, int) and 0 <= application <= 65535 else 0,
         "" if top.get("insecure") is True else key if isinstance(key, str) else "fleet.key",
@@ -137,7 +140,7 @@ _ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\baddress\b)")
 _VALUE = r"\b{}\s*:\s*['\"]?([^\s,'\"{{}}]+)"
 
 
-def scan_fleet(text: str) -> Fleet:
+def scan_fleet(text: str) -> StoppableFleet:
     """Return the robots whose addresses occur in a text that need not be valid YAML.
 
     The result is like that of `read_fleet`, but its `places` are empty if the text contains no address.
@@ -153,7 +156,7 @@ def scan_fleet(text: str) -> Fleet:
                 places.append(place)
     application = next(_values(text, "application_id"), "0")
     insecure = next(_values(text, "insecure"), "") == "true"
-    return Fleet(
+    return StoppableFleet(
         tuple(places),
         int(application) if application.isdecimal() and int(application) <= 65535 else 0,
         "" if insecure else next(_values(text, "key"), "fleet.key"),
@@ -164,10 +167,10 @@ def _values(text: str, key: str) -> Iterator[str]:
     return (found[1] for found in re.finditer(_VALUE.format(key), text))
 
 
-def _last_build(folder: Path) -> tuple[Path, Fleet] | None:
+def _last_build(folder: Path) -> tuple[Path, StoppableFleet] | None:
     """Return the latest build in `build/`, beside the fleet file or in the working directory.
 
-    None without one.
+    Returns None if there is no build.
     """
     built = [each for place in {folder / "build", Path("build")} for each in _folders(place)]
     for application in sorted(built, key=lambda each: each.stat().st_mtime, reverse=True):
@@ -182,10 +185,10 @@ def _folders(place: Path) -> list[Path]:
     return []
 
 
-def _built(folder: Path, nobody: CannotStop) -> Fleet:
+def _built(folder: Path, nobody: CannotStop) -> StoppableFleet:
     """Return the robots of a build folder, or the one robot of a robot's folder.
 
-    Raises `nobody` without any robot.
+    Raises `nobody` if there is no robot.
     """
     places, application, key = [], 0, ""
     harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
@@ -198,7 +201,7 @@ def _built(folder: Path, nobody: CannotStop) -> Fleet:
             key = "" if settings["insecure"] is True else str(settings["key_file"])
     if not places:
         raise nobody
-    return Fleet(tuple(places), application, key, folder)
+    return StoppableFleet(tuple(places), application, key, folder)
 
 
 def _place(pid: int, robot: dict[str, Any]) -> Place:
@@ -209,7 +212,9 @@ def _place(pid: int, robot: dict[str, Any]) -> Place:
     return Place(str(robot.get("name", f"robot {pid}")), host, port)
 
 
-def find_key(fleet: Fleet, path: str | None, key_path: str | None, warn: Callable[[str], None]) -> bytes | None:
+def find_key(
+    fleet: StoppableFleet, path: str | None, key_path: str | None, warn: Callable[[str], None]
+) -> bytes | None:
     """Return the fleet's key; None for a fleet without a key. Raises CannotStop.
 
     The key is read from `key_path`, else from the fleet's folder, else from the folder of the fleet file `path`, else
@@ -235,11 +240,11 @@ def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
             if len(key) == KEY_SIZE:
                 warn(f"warning: {error}")
                 return key
-        raise CannotStop(str(error), "`--key FILE` names another; ") from None
+        raise CannotStop(str(error), "name another key file with `--key FILE`; ") from None
 
 
 class Stopping:
-    """Protocol that stops one robot: send `datagram`, and pass answers to `take`, until `phase` is set."""
+    """Protocol that stops one robot: send `datagram`, and pass answers to `receive`, until `phase` is set."""
 
     def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
         self.phase = ""
@@ -253,9 +258,9 @@ class Stopping:
     def datagram(self, now: float) -> bytes:
         if self._offer is None or now - self._offered > STALE_OFFER:
             return encode(Ask(self._application, self._nonce), self._key)
-        return encode(Stop(self._nonce, self._offer.challenge), self._key)
+        return encode(StopOrder(self._nonce, self._offer.challenge), self._key)
 
-    def take(self, datagram: bytes, now: float) -> bool:
+    def receive(self, datagram: bytes, now: float) -> bool:
         """Return whether the answer makes progress, so that the next `datagram` should be sent at once."""
         match decode(datagram, self._key):
             case Offer(nonce) as offer if nonce == self._nonce:
@@ -263,8 +268,8 @@ class Stopping:
                 if further:
                     self._offer, self._offered, self.robot = offer, now, offer.robot
                 return further
-            case Stopped(nonce, _, phase) if nonce == self._nonce:
-                self.phase = phase or "resting"
+            case StopAnswer(nonce, _, phase) if nonce == self._nonce:
+                self.phase = phase or "stopping"
                 return True
         return False
 
@@ -282,18 +287,18 @@ def stop_fleet(
     places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
     if wrong := [place.name for place in places if not place.port]:
         raise BadAddress(f"--address {wrong[0]}: not HOST:PORT")
-    fleet = Fleet((), 0, "fleet.key")
+    fleet = StoppableFleet((), 0, "fleet.key")
     if path is not None:
         try:
             fleet = find_fleet(Path(path), warn)
         except CannotStop as error:
             if not places:
                 raise
-            warn(f"warning: {error}; calling only those that --address names")
+            warn(f"warning: {error}; only the robots at the addresses of --address are called")
     known = {(place.host, place.port) for place in places}
     places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
     key = find_key(fleet, path, key_path, warn)
-    return stop_all(places, fleet.application if application is None else application, key, PATIENCE)
+    return stop_all(places, fleet.application if application is None else application, key, ANSWER_TIMEOUT)
 
 
 def show(results: list[Called], form: str) -> str:
@@ -312,36 +317,36 @@ def show(results: list[Called], form: str) -> str:
         ]
         return json.dumps({"robots": robots}, indent=2)
     width = max(len(r.place.name) for r in results)
-    return "\n".join(f"{r.place.name:<{width}}  {_told(r)}" for r in results)
+    return "\n".join(f"{r.place.name:<{width}}  {_result_text(r)}" for r in results)
 
 
-def _told(result: Called) -> str:
+def _result_text(result: Called) -> str:
     if not result.phase:
         return f"{result.note.replace(NO_ANSWER, NO_ANSWER.upper())} ({result.place.host}:{result.place.port})"
-    did = "has stopped" if result.phase == "rested" else "is stopping: it lands or brakes"
+    did = "has stopped" if result.phase == "stopped" else "is stopping: it lands or brakes"
     return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
 
 
-def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, patience: float) -> list[Called]:
+def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, timeout: float) -> list[Called]:
     """Stop all robots in parallel, one thread each, so that a slow name lookup delays no other robot."""
     results = [Called(place, "", 0.0, NO_ANSWER) for place in fleet]
     every = max(_SHORTEST, _EACH * len(fleet))
     began = time.monotonic()
 
     def call(index: int) -> None:
-        results[index] = _stop(fleet[index], Stopping(application, key, os.urandom(NONCE)), every, began, patience)
+        results[index] = _stop(fleet[index], Stopping(application, key, os.urandom(NONCE)), every, began, timeout)
 
     threads = [threading.Thread(target=call, args=(i,), daemon=True) for i in range(len(fleet))]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+        thread.join(max(0.0, began + timeout + 0.2 - time.monotonic()))
     return results
 
 
-def _stop(place: Place, stopping: Stopping, every: float, began: float, patience: float) -> Called:
+def _stop(place: Place, stopping: Stopping, every: float, began: float, timeout: float) -> Called:
     if not place.port:
-        return Called(place, "", 0.0, "the fleet file has no address for it")
+        return Called(place, "", 0.0, "the fleet file has no address for the robot")
     try:
         found = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
@@ -350,14 +355,14 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
     with socket.socket(found[0], socket.SOCK_DGRAM) as caller:
         with suppress(OSError):
             caller.connect(found[4])
-        while not stopping.phase and (now := time.monotonic()) < began + patience:
+        while not stopping.phase and (now := time.monotonic()) < began + timeout:
             try:
                 caller.send(stopping.datagram(now))
                 _listen(caller, stopping, now + every)
             except TimeoutError:
                 continue
             except ConnectionRefusedError:
-                note = f"{NO_ANSWER}: no agent runs there"
+                note = f"{NO_ANSWER}: no agent runs at this address"
                 time.sleep(every)
             except OSError as error:
                 note = f"{NO_ANSWER}: {error.strerror or error}"
@@ -370,8 +375,8 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, patience
 
 
 def _listen(caller: socket.socket, stopping: Stopping, until: float) -> None:
-    """Receive answers until one makes progress or the next call is due."""
+    """Receive answers until an answer makes progress or the next request is due."""
     while (left := until - time.monotonic()) > 0:
         caller.settimeout(left)
-        if stopping.take(caller.recv(SHORT + 1), time.monotonic()):
+        if stopping.receive(caller.recv(SHORT + 1), time.monotonic()):
             return

@@ -11,31 +11,31 @@ from collections.abc import Sequence
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.hosts import HostError, Sessions, SshSession
 
 _STATES = ("ok", "warn", "fail")
 UNREACHED = 5  # exit status for a robot whose host could not be reached
 
 
-class Examined(Node):
+class HostExamination(Node):
     """Result of one robot's `doctor`.
 
     status: exit status.
-    findings: results of the checks, in the format of the command's JSON document.
-    problem: reason why there are no findings; empty if there are.
+    checks: results of the checks, in the format of the JSON document that `doctor` prints.
+    problem: reason why `checks` is empty; "" if `doctor` ran.
     """
 
     robot: str
     status: int
-    findings: tuple[dict[str, Any], ...]
+    checks: tuple[dict[str, Any], ...]
     problem: str = ""
 
     def count(self, state: str) -> int:
-        """Return how many findings have this state."""
-        return Counter(each["state"] for each in self.findings)[state]
+        """Return how many checks have this state."""
+        return Counter(each["state"] for each in self.checks)[state]
 
 
-async def examine(sessions: Sessions) -> list[Examined]:
+async def examine(sessions: Sessions) -> list[HostExamination]:
     """Run `doctor` on all robots; return the results, with those of hosts that failed at the end.
 
     Hosts are examined in parallel, the robots of one host one after another.
@@ -44,44 +44,44 @@ async def examine(sessions: Sessions) -> list[Examined]:
     missed = [(robot, error) for error in (*sessions.failed, *failed) for robot in error.host.robots]
     return [
         *(each for examined in found.values() for each in examined),
-        *(Examined(robot, UNREACHED, (), _problem(error)) for robot, error in missed),
+        *(HostExamination(robot, UNREACHED, (), _problem(error)) for robot, error in missed),
     ]
 
 
-async def _examine_host(session: Session) -> list[Examined]:
+async def _examine_host(session: SshSession) -> list[HostExamination]:
     return [await _examine_robot(session, robot) for robot in session.host.robots]
 
 
-async def _examine_robot(session: Session, robot: str) -> Examined:
+async def _examine_robot(session: SshSession, robot: str) -> HostExamination:
     try:
         answer = await session.call("doctor", robot=robot)
     except HostError as error:
         if error.code == "link":
             raise
-        return Examined(robot, 1, (), _problem(error))
-    return Examined(robot, int(answer["status"]), tuple(answer["document"]["findings"]))
+        return HostExamination(robot, 1, (), _problem(error))
+    return HostExamination(robot, int(answer["status"]), tuple(answer["document"]["checks"]))
 
 
 def _problem(error: HostError) -> str:
     return f"{error.message}" + (f"; {error.help}" if error.help else "")
 
 
-def worst(examined: Sequence[Examined]) -> int:
-    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files), or 0 (no problem)."""
+def worst(examined: Sequence[HostExamination]) -> int:
+    """Return the greatest exit status of all robots: 5 (surroundings), 1 (files) or 0 (no problem)."""
     return max((each.status for each in examined), default=0)
 
 
-def to_json(examined: Sequence[Examined]) -> str:
-    """Return all robots' findings as one JSON document."""
+def to_json(examined: Sequence[HostExamination]) -> str:
+    """Return the results of all robots' checks as one JSON document."""
     robots = [
-        {"robot": each.robot, "status": each.status, "problem": each.problem, "findings": list(each.findings)}
+        {"robot": each.robot, "status": each.status, "problem": each.problem, "checks": list(each.checks)}
         for each in examined
     ]
     return json.dumps({"status": worst(examined), "robots": robots}, indent=2)
 
 
-def table(examined: Sequence[Examined]) -> str:
-    """Return a table with the number of each robot's findings by state, and the findings that are not ok."""
+def table(examined: Sequence[HostExamination]) -> str:
+    """Return a table with the number of each robot's checks by state, and the checks that are not ok."""
     width = max(len("robot"), *(len(each.robot) for each in examined))
     lines = [f"{'robot':<{width}}  " + "  ".join(f"{state:>4}" for state in _STATES)]
     for each in examined:
@@ -89,7 +89,7 @@ def table(examined: Sequence[Examined]) -> str:
             lines.append(f"{each.robot:<{width}}     -     -     -  {each.problem}")
             continue
         lines.append(f"{each.robot:<{width}}  " + "  ".join(f"{each.count(state):>4}" for state in _STATES))
-        lines += [f"  {_line(finding)}" for finding in each.findings if finding["state"] != "ok"]
+        lines += [f"  {_line(check)}" for check in each.checks if check["state"] != "ok"]
     return "\n".join(lines)
 
 

@@ -24,6 +24,7 @@ def archive() -> bytes:
         for name, text in sorted(texts.items()):
             entry = zipfile.ZipInfo(name, _MADE)
             entry.external_attr = 0o644 << 16
-            entry.create_system = 3  # Unix, whatever the present system is: the bytes must be equal
+            # 3 stands for Unix; it is set on every system, so that the archive has equal bytes everywhere
+            entry.create_system = 3
             file.writestr(entry, text)
     return made.getvalue()

@@ -1,4 +1,4 @@
-"""SSH sessions with the hosts of a fleet, side by side.
+"""Parallel SSH sessions with the hosts of a fleet.
 
 A host is a computer that runs the agents of one or several robots, `user@name[:port]`. Robots of one host share one SSH
 session. The session starts the tool of koordgen/operate/host_tool on the host, and sends it one request at a time. The
@@ -28,12 +28,12 @@ from koordgen.lang.node import Node
 if TYPE_CHECKING:
     import asyncssh
 
-CONNECT_TIMEOUT = 10.0  # seconds
-START_TIMEOUT = 60.0  # seconds within which a host must start the tool
+CONNECT_TIMEOUT = 10.0  # time limit for connecting and for logging in, each, in seconds
+START_TIMEOUT = 60.0  # longest time in which a host must start the tool, in seconds
 KEEPALIVE = 5.0  # seconds between two SSH keepalive messages; the connection is closed after three without an answer
-PING = 10.0  # seconds without a request before a `ping` is sent, because the tool ends an idle session
+PING = 10.0  # seconds without a request before a `ping` is sent; without pings, the tool ends the idle session
 LONGEST_LINE = 1 << 24  # largest size of an answer's JSON line, in bytes
-_CHATTER = 1 << 16  # bytes that a login shell may print before the tool answers
+_CHATTER = 1 << 16  # largest number of bytes that a login shell may print before the tool's answer
 OLDEST_PYTHON = (3, 10)
 
 
@@ -50,7 +50,7 @@ class Host(Node):
 
     @property
     def title(self) -> str:
-        """The robots and the login, for messages."""
+        """Return the host's robots and its login, as messages show them."""
         return f"{', '.join(self.robots)} ({self.login.text})"
 
 
@@ -88,7 +88,9 @@ class HostError(Exception):
 
 
 class NoHosts(Exception):
-    """The fleet file names no host for some robots, or asyncssh is missing; `help` says what to do."""
+    """Raised if the fleet file names no host for a robot, or if asyncssh is missing.
+
+    `help` says what to do."""
 
     def __init__(self, message: str, help: str, is_file_wrong: bool = True) -> None:
         super().__init__(message)
@@ -97,7 +99,7 @@ class NoHosts(Exception):
 
 
 class Answer(dict[str, Any]):
-    """Answer of the tool to one request: a JSON object, and the raw bytes that followed it."""
+    """The tool's answer to one request: a JSON object, and the raw bytes that followed the object."""
 
     data: bytes = b""
 
@@ -124,19 +126,19 @@ def owner() -> str:
     """Return the name that this process's locks on hosts bear: user@computer."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # the user id has no name
+    except (KeyError, OSError):  # this computer has no user name for the process's user id
         user = str(os.getuid())
     return f"{user}@{socket.gethostname()}"
 
 
-class Session:
+class SshSession:
     """SSH session with the tool on one host. Concurrent calls are sent one after another."""
 
     def __init__(
         self, host: Host, connection: asyncssh.SSHClientConnection, process: asyncssh.SSHClientProcess[bytes]
     ) -> None:
         self.host = host
-        self.sent = 0  # bytes sent to the host, including an upload of the tool
+        self.sent = 0  # number of bytes sent to the host, including an upload of the tool
         self._connection = connection
         self._process = process
         self._turn = asyncio.Lock()
@@ -173,7 +175,7 @@ class Session:
             self._cut = await self._why_cut(when, error)
             raise self._cut from None
         except BaseException:  # an interrupted exchange leaves unread bytes, so the session cannot be used any more
-            self._cut = HostError(self.host, "link", f"it was interrupted {when}")
+            self._cut = HostError(self.host, "link", f"the connection was interrupted {when}")
             raise
         return answer
 
@@ -189,11 +191,11 @@ class Session:
                 raise EOFError
             if line.startswith(b"{"):
                 break
-            chatter += len(line)  # output of the login shell, such as a greeting in .bashrc
+            chatter += len(line)  # skip a line of the login shell, for example a greeting in .bashrc
             if chatter > _CHATTER:
-                raise ValueError("its login shell prints too much")
+                raise ValueError(f"the login shell prints more than {_CHATTER} bytes")
         if len(line) > LONGEST_LINE:
-            raise ValueError("its answer is too long")
+            raise ValueError(f"the answer is longer than {LONGEST_LINE} bytes")
         answer = Answer(json.loads(line))
         if length := int(answer.get("length", 0)):
             answer.data = await self._process.stdout.readexactly(length)
@@ -214,7 +216,7 @@ class Session:
             help = "run the command again; if it fails again, log in to the host and check its disk and memory"
             return HostError(self.host, "tool", what, help)
         what = f"the link was cut {when}"
-        return HostError(self.host, "link", what, "is the host on, and in reach? then run the command again")
+        return HostError(self.host, "link", what, "check that the host is on and in reach, then run the command again")
 
     async def _complaint(self) -> list[str]:
         with suppress(Exception):
@@ -246,13 +248,13 @@ class Session:
                 await self._connection.wait_closed()
 
 
-_SHELL = "`ssh HOST true` must print nothing: remove what its .bashrc or .profile prints"
+_SHELL = "`ssh HOST true` must print nothing: remove all output from the host's .bashrc or .profile"
 
 
 class Sessions(Node):
-    """Sessions with the hosts that were reached (in the fleet file's order), and failures of the others."""
+    """Sessions with the hosts that were reached (in the fleet file's order), and failures of the other hosts."""
 
-    reached: tuple[Session, ...]
+    reached: tuple[SshSession, ...]
     failed: tuple[HostError, ...]
 
     async def call(self, verb: str, **arguments: Any) -> tuple[dict[Host, Answer], list[HostError]]:
@@ -262,8 +264,8 @@ class Sessions(Node):
         """
         return await self.each(lambda session: session.call(verb, **arguments))
 
-    async def each(self, ask: Callable[[Session], Awaitable[Any]]) -> tuple[dict[Host, Any], list[HostError]]:
-        """Run `ask` for all reached hosts in parallel; return the results by host, and the failures."""
+    async def each(self, ask: Callable[[SshSession], Awaitable[Any]]) -> tuple[dict[Host, Any], list[HostError]]:
+        """Run `ask` for all hosts that were reached, in parallel; return results by host, and failures."""
         results = await asyncio.gather(*map(ask, self.reached), return_exceptions=True)
         found: dict[Host, Any] = {}
         failed: list[HostError] = []
@@ -288,10 +290,10 @@ async def sessions(hosts: Iterable[Host], options: Options, tool: bytes) -> Asyn
     hosts = tuple(hosts)
     async with AsyncExitStack() as stack:
         opened = await asyncio.gather(*(_open(host, options, tool) for host in hosts), return_exceptions=True)
-        reached = [each for each in opened if isinstance(each, Session)]
+        reached = [each for each in opened if isinstance(each, SshSession)]
         stack.push_async_callback(_close_all, reached)
         for each in opened:
-            if not isinstance(each, (Session, HostError)):
+            if not isinstance(each, (SshSession, HostError)):
                 raise each
         pings = [asyncio.create_task(session.keep_alive()) for session in reached]
         try:
@@ -302,7 +304,7 @@ async def sessions(hosts: Iterable[Host], options: Options, tool: bytes) -> Asyn
             await asyncio.gather(*pings, return_exceptions=True)
 
 
-async def _close_all(opened: Sequence[Session]) -> None:
+async def _close_all(opened: Sequence[SshSession]) -> None:
     await asyncio.gather(*(session.close() for session in opened))
 
 
@@ -317,28 +319,29 @@ def require_asyncssh() -> None:
         raise NoHosts(f"the Python package {missing} is missing", pip_install("'koordgen[deploy]'"), False) from None
 
 
-async def _open(host: Host, options: Options, tool: bytes) -> Session:
+async def _open(host: Host, options: Options, tool: bytes) -> SshSession:
     """Connect to a host and start its tool. Raises HostError."""
     connection = await _connect(host, options)
     try:
         digest = sha256(tool).hexdigest()
         process = await connection.create_process(_command(host, digest, len(tool)), encoding=None)
-        session = Session(host, connection, process)
+        session = SshSession(host, connection, process)
         async with asyncio.timeout(START_TIMEOUT):
             answer = await session.exchange(b"", "at its start")
         if answer.get("upload"):
             answer = await session.exchange(tool, "while the tool was sent")
         if answer.get("ok") is not True:
-            message = str(answer.get("message", "the tool does not start"))
+            message = str(answer.get("message", "the tool on the host does not start"))
             raise HostError(host, str(answer.get("error", "tool")), message, str(answer.get("help", "")))
     except BaseException as error:
         connection.abort()
         import asyncssh
 
         if isinstance(error, TimeoutError):
-            raise HostError(host, "tool", f"it started no tool within {START_TIMEOUT:g} s", _SHELL) from None
+            message = f"the host did not start the tool within {START_TIMEOUT:g} s"
+            raise HostError(host, "tool", message, _SHELL) from None
         if isinstance(error, (asyncssh.Error, OSError)):
-            raise HostError(host, "refused", f"it starts no command: {error}", _SHELL) from None
+            raise HostError(host, "refused", f"the host does not run commands over SSH: {error}", _SHELL) from None
         raise
     return session
 
@@ -407,15 +410,15 @@ def _command(host: Host, digest: str, size: int) -> str:
 
 
 def _no_python(host: Host) -> HostError:
-    help = "install Python 3.10 or later there, or name the interpreter: `deploy: {python: /usr/bin/python3}`"
-    return HostError(host, "python", f"there is no {host.python} on it", help)
+    help = "install Python 3.10 or later on the host, or set `deploy: {python: /usr/bin/python3}` in the fleet file"
+    return HostError(host, "python", f"the host has no command {host.python}", help)
 
 
 async def _connect(host: Host, options: Options) -> asyncssh.SSHClientConnection:
     import asyncssh
 
     offered: list[asyncssh.SSHKey] = []
-    known = 0  # keys of this host in known_hosts
+    known = 0  # number of this host's keys in known_hosts
 
     class Client(asyncssh.SSHClient):
         def validate_host_public_key(self, host: str, addr: str, port: int, key: asyncssh.SSHKey) -> bool:
@@ -440,13 +443,13 @@ async def _connect(host: Host, options: Options) -> asyncssh.SSHClientConnection
     except asyncssh.KeyExchangeFailed as error:
         if known:
             raise _untrusted(host, offered, known, options) from None
-        raise HostError(host, "unreachable", f"SSH finds no common method: {error}", "") from None
+        raise HostError(host, "unreachable", f"SSH on both computers has no common method: {error}", "") from None
     except asyncssh.PermissionDenied:
         who = f"{host.login.user} at {host.login.name}"
-        help = f"give the host your key: `ssh-copy-id {_target(host)}`; or name another with --identity FILE"
-        raise HostError(host, "refused key", f"it refuses your SSH keys for {who}", help) from None
+        help = f"copy your key to the host: `ssh-copy-id {_target(host)}`; or name another key with --identity FILE"
+        raise HostError(host, "refused key", f"the host refuses your SSH keys for {who}", help) from None
     except (asyncssh.KeyImportError, asyncssh.KeyEncryptionError, asyncssh.ConfigParseError, ValueError) as error:
-        help = "a key with a passphrase must be in ssh-agent: run `ssh-add`, and leave --identity out"
+        help = "if the key has a passphrase, add the key to ssh-agent with `ssh-add`, and leave --identity out"
         raise HostError(host, "settings", f"the SSH files of this computer cannot be used: {error}", help) from None
     except (TimeoutError, asyncio.TimeoutError, OSError, asyncssh.Error) as error:
         raise _unreachable(host, error, options) from None
@@ -493,28 +496,28 @@ def _untrusted(host: Host, offered: Sequence[asyncssh.SSHKey], known: int, optio
     look = "ssh-keygen -lf /etc/ssh/ssh_host_ed25519_key.pub"
     add = f"ssh-keyscan {port}{host.login.name} >> {file}"
     if not known:
-        help = f"compare it with what `{look}` prints on the host itself; if it is the same, run `{add}`"
-        return HostError(host, "unknown key", f"its host key is not in known_hosts: {shown}", help)
+        help = f"on the host, run `{look}`; if it prints this key, run `{add}` on this computer"
+        return HostError(host, "unknown key", f"the host's key is not in known_hosts: {shown}", help)
     name = f"[{host.login.name}]:{host.login.port}" if host.login.port not in (None, 22) else host.login.name
     help = (
-        "if the host was installed anew, compare with what "
-        f"`{look}` prints on it, then run `ssh-keygen -R '{name}' -f {file}` and `{add}`; "
-        "if it was not, somebody may stand between: do not connect"
+        f"was the host installed anew? then run `{look}` on the host; if it prints this key, run "
+        f"`ssh-keygen -R '{name}' -f {file}` and `{add}` on this computer. "
+        "Otherwise do not connect: another computer may pretend to be the host"
     )
-    return HostError(host, "changed key", f"its host key is not the one in known_hosts: {shown}", help)
+    return HostError(host, "changed key", f"the host's key differs from the key in known_hosts: {shown}", help)
 
 
 def _unreachable(host: Host, error: BaseException, options: Options) -> HostError:
     where = f"{host.login.name}" + (f" port {host.login.port}" if host.login.port else "")
     number = getattr(error, "errno", None)
     if isinstance(error, socket.gaierror):
-        what, help = f"no address is known for {host.login.name}", "is the name right? try its IP address as `host`"
+        what, help = f"no address is known for {host.login.name}", "check the name, or write the IP address as `host`"
     elif isinstance(error, TimeoutError) or number == errno.ETIMEDOUT:
         what = f"{where} did not answer within {options.timeout:g} s"
-        help = "is the host on, and in the same network?"
+        help = "check that the host is on, and in the same network"
     elif number == errno.ECONNREFUSED:
-        what, help = f"{where} refuses connections", "is its SSH server on? `sudo systemctl enable --now ssh` there"
+        what, help = f"{where} refuses connections", "start its SSH server: `sudo systemctl enable --now ssh`"
     else:
         reason = getattr(error, "strerror", None) or getattr(error, "reason", None) or str(error) or "closed"
-        what, help = f"{where} cannot be reached: {reason}", "is the host on, and in the same network?"
+        what, help = f"{where} cannot be reached: {reason}", "check that the host is on, and in the same network"
     return HostError(host, "unreachable", what, help)

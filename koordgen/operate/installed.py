@@ -1,4 +1,4 @@
-"""State of the computers of robots whose agents do not answer, asked over SSH."""
+"""State of robots whose agents do not answer, as their hosts report it over SSH."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from koordgen.operate.hosts import Answer, HostError, Sessions
 class Installed(Node):
     """State of a robot and its host, as the host reports it.
 
-    release: build that would run if the agent were started; empty without one.
-    id: id of the confirmed release; empty without one.
-    pending: id of a release that is not confirmed yet; empty without one.
-    running: whether the robot's agent runs.
+    release: build that would run if the agent were started; empty if there is no build.
+    id: id of the confirmed release; empty if there is no such release.
+    pending: id of a release that is not confirmed yet; empty if there is no such release.
+    running: True if the robot's agent runs.
     phase: phase of the agent; empty if unknown.
     free: free bytes on the disk.
     temperature: degrees Celsius; None if unknown.
@@ -33,7 +33,7 @@ class Installed(Node):
 
     @property
     def note(self) -> str:
-        """Return the state as a text for messages."""
+        """Return the robot's state as text for messages."""
         agent = (
             f"its agent runs ({self.phase or 'phase unknown'}), but does not answer"
             if self.running
@@ -50,7 +50,7 @@ class Installed(Node):
 
 
 async def installed(sessions: Sessions) -> tuple[dict[str, Installed], dict[str, HostError]]:
-    """Ask all hosts; return, by robot, the states, and the failures of hosts that did not answer."""
+    """Ask all hosts; return each robot's state, and the failures of hosts by robot."""
     answers, failed = await sessions.call("inspect")
     found = {robot: of_robot(robot, answer) for host, answer in answers.items() for robot in host.robots}
     return found, {robot: error for error in (*sessions.failed, *failed) for robot in error.host.robots}

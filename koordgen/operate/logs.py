@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.hosts import HostError, Session, Sessions
+from koordgen.operate.hosts import HostError, Sessions, SshSession
 
-ASKED = 5  # requests for a host's clock, of which the quickest is used
+ASKED = 5  # number of requests for a host's clock; the answer with the shortest round trip is used
 EVERY = 0.3  # seconds between two requests for new lines
 
 
@@ -30,9 +30,9 @@ class Line(Node):
 
 
 class Offset(Node):
-    """Offset of a host's clock.
+    """Offset of a host's clock from this computer's clock.
 
-    ahead: seconds by which it is ahead of this computer's clock.
+    ahead: seconds by which the host's clock is ahead of this computer's clock.
     error: bound of the error of `ahead`, in seconds.
     """
 
@@ -49,8 +49,8 @@ def offset_of(samples: Iterable[tuple[float, float, float]]) -> Offset:
     return Offset(clock - (sent + received) / 2, (received - sent) / 2)
 
 
-async def clock_offset(session: Session, now: Callable[[], float] = time.time) -> Offset:
-    """Measure how far the host's clock is ahead. Raises HostError."""
+async def clock_offset(session: SshSession, now: Callable[[], float] = time.time) -> Offset:
+    """Measure the offset of a host's clock from this computer's clock. Raises HostError."""
     samples = []
     for _ in range(ASKED):
         sent = now()
@@ -76,18 +76,22 @@ def _ascending(lines: Sequence[Line]) -> list[Line]:
 class Follower:
     """Ordering of log lines that arrive continuously.
 
-    A line is returned once all robots were asked after its time, because no earlier line can arrive then.
+    A line is returned after all robots were asked at a later time than the line's, because then no earlier line can
+    arrive.
     """
 
     def __init__(self) -> None:
         self._waiting: list[Line] = []
 
     def add(self, lines: Iterable[Line]) -> None:
-        """Add lines that arrived; the lines of one robot must be in order."""
+        """Add lines that were received. Each robot's lines must be in order."""
         self._waiting.extend(lines)
 
     def ready(self, asked: float) -> list[Line]:
-        """Return, in order, all lines up to `asked`, the time at which the last requests to all robots began."""
+        """Return all lines up to the time `asked`, in order.
+
+        `asked`: time at which the last requests to all robots began.
+        """
         ordered = merged(_by_robot([self._waiting]))
         self._waiting = [line for line in ordered if line.time > asked]
         return [line for line in ordered if line.time <= asked]
@@ -96,20 +100,20 @@ class Follower:
 class Reader:
     """Reader of the log lines of one host's robots; gives them times of this computer's clock.
 
-    Make it with `reader_of`.
+    The function `reader_of` makes a reader.
     """
 
-    def __init__(self, session: Session, offset: Offset) -> None:
+    def __init__(self, session: SshSession, offset: Offset) -> None:
         self.session = session
         self._offset = offset
-        self._next: dict[str, float] = {}  # robot -> time of its last line, by the host's clock
+        self._next: dict[str, float] = {}  # robot -> time of the robot's last line, by the host's clock
 
     async def last(self, count: int) -> list[Line]:
         """Return the last `count` lines of each robot. Raises HostError."""
         return [line for robot in self.session.host.robots for line in await self._read(robot, lines=count)]
 
     async def new(self) -> list[Line]:
-        """Return the lines after those that were read last. Raises HostError."""
+        """Return the lines that were logged since the previous call. Raises HostError."""
         return [line for robot, at in self._next.items() for line in await self._read(robot, since=at)]
 
     async def _read(self, robot: str, **which: Any) -> list[Line]:
@@ -118,7 +122,7 @@ class Reader:
         return [Line(float(at) - self._offset.ahead, robot, str(text)) for at, text in answer["lines"]]
 
 
-async def reader_of(session: Session) -> Reader:
+async def reader_of(session: SshSession) -> Reader:
     """Measure the offset of a host's clock, and return a reader of its robots' log lines.
 
     Raises HostError.
@@ -131,7 +135,7 @@ async def show_lines(
 ) -> None:
     """Show the last `count` log lines of each robot.
 
-    With `follow`, also new lines as long as a host can be reached.
+    With `follow`, new lines are shown as well, as long as a host can be reached.
 
     show: called for each line, in order.
     lost: called when a host fails; its lines are missing from then on.
@@ -150,7 +154,7 @@ async def show_lines(
     made, failed = await sessions.each(reader_of)
     for error in (*sessions.failed, *failed):
         lost(error)
-    readers: dict[Session, Reader] = {reader.session: reader for reader in made.values()}
+    readers: dict[SshSession, Reader] = {reader.session: reader for reader in made.values()}
     for line in merged(_by_robot(await ask(lambda reader: reader.last(count)))):
         show(line)
     follower = Follower()

@@ -25,7 +25,7 @@ FileMap = dict[str, dict[str, list[Any]]]  # robot -> path -> [SHA-256, mode]
 
 
 class Fleetwide(Node):
-    """Entries that are equal in every host's part of a release."""
+    """Entries of a release that are equal on all hosts."""
 
     application_id: int
     app: str

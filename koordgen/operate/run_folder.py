@@ -67,7 +67,7 @@ def _fitting(source: Path, wanted: str) -> Program | None:
         params = source / PARAMS
         given = dict(json.loads(params.read_bytes())) if params.is_file() else {}
         program = with_params(check_file(str(programs[0])).program, given)
-    except (Rejected, BadParam, ValueError):  # for example, a program for another version of the language
+    except (Rejected, BadParam, ValueError):  # for example, the program is written for another version of the language
         return None
     functions = functions_file(program, source, None)
     its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
@@ -85,7 +85,7 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
     names = [robot.name for robot in fleet.robots]
     flew = [history.name if history.lives else name for history, name in zip(whole.histories, names, strict=False)]
     if flew != names:
-        raise BadTrace(f"the traces are of the robots {', '.join(flew)}, and the fleet file lists {', '.join(names)}")
+        raise BadTrace(f"the traces are of the robots {', '.join(flew)}, but the fleet file lists {', '.join(names)}")
     end = whole.last * whole.delta
     header = _header(whole, program, fleet, end)
     made = folder / f".{TRACE}"

@@ -12,11 +12,14 @@ from typing import Any
 from koordgen.lang.node import Node
 from koordgen.operate.hosts import Host, HostError, Sessions
 
-STOP_WITHIN = 30.0  # seconds within which an agent must end after SIGTERM
+STOP_WITHIN = 30.0  # longest time until an agent must end after SIGTERM, in seconds
 
 
-class Refused(Exception):
-    """No agent was started. The message names the robots and the reason; `help` says what to do."""
+class ServiceRefused(Exception):
+    """Raised if no agent was started.
+
+    The message names the robots and the reason; `help` says what to do.
+    """
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -49,12 +52,12 @@ async def start(sessions: Sessions) -> Done:
     release = confirmed({host: answer["deployment"] for host, answer in inspected.items()})
     started, failed = await sessions.each(lambda session: session.call("start", robots=list(session.host.robots)))
     states = {robot: state for answer in started.values() for robot, state in answer["robots"].items()}
-    running = tuple(robot for robot, state in states.items() if state == "running")  # their agents ran already
+    running = tuple(robot for robot, state in states.items() if state == "running")  # robots whose agents ran already
     return Done(tuple(robot for robot in states if robot not in running), running, release, tuple(failed))
 
 
 async def stop(sessions: Sessions, seconds: float = STOP_WITHIN) -> Done:
-    """Stop the agents on all hosts that can be reached, and wait up to `seconds` until they have ended."""
+    """Stop the agents on all hosts that can be reached, and wait at most `seconds` for their end."""
     stopped, failed = await sessions.each(
         lambda session: session.call("stop", robots=list(session.host.robots), seconds=seconds)
     )
@@ -64,21 +67,21 @@ async def stop(sessions: Sessions, seconds: float = STOP_WITHIN) -> Done:
 
 
 def confirmed(deployments: Mapping[Host, Mapping[str, Any]]) -> str:
-    """Return the release that all hosts have confirmed. Raises Refused if there is none."""
+    """Return the release that all hosts have confirmed. Raises Refused if there is no such release."""
     deploy = "`koordgen deploy APP.koord --fleet FLEET` brings all robots to one release; nothing was started"
     pending = {host: each["pending"]["id"] for host, each in deployments.items() if each["pending"]}
     if pending:
         named = "; ".join(f"{', '.join(host.robots)}: {id_[:8]}" for host, id_ in pending.items())
-        raise Refused(
+        raise ServiceRefused(
             f"a release is not confirmed yet ({named})", f"wait for the deployment to end, or deploy again: {deploy}"
         )
     without = [robot for host, each in deployments.items() if not each["confirmed"] for robot in host.robots]
     if without:
-        raise Refused(f"there is no release on {', '.join(without)}", deploy)
+        raise ServiceRefused(f"there is no release on {', '.join(without)}", deploy)
     releases: dict[str, list[str]] = {}
     for host, each in deployments.items():
         releases.setdefault(each["confirmed"], []).extend(host.robots)
     if len(releases) > 1:
         named = "; ".join(f"{id_[:8]} on {', '.join(robots)}" for id_, robots in releases.items())
-        raise Refused(f"robots have different releases: {named}", deploy)
+        raise ServiceRefused(f"the robots have different releases: {named}", deploy)
     return next(iter(releases))

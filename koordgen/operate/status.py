@@ -17,22 +17,22 @@ from contextlib import suppress
 from typing import Any
 
 from koordgen.lang.node import Node, replace
-from koordgen.operate.estop import Fleet, Place
+from koordgen.operate.estop import Place, StoppableFleet
 from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
-from koordgen.runtime.ops.status import Asking
+from koordgen.runtime.ops.status import StatusRequest
 
-PATIENCE = 2.0  # seconds to wait for the answers; all robots are asked in parallel
+ANSWER_TIMEOUT = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
 _REPEAT = 0.05  # seconds between two requests to one robot
 _COLUMNS = (
     "robot", "release", "phase", "round", "current", "loss", "late ms", "clock ms", "battery", "disk", "temp", "notes",
 )  # fmt: skip
 
 
-class Asked(Node):
+class StatusAnswer(Node):
     """Answer of one robot.
 
-    place: control port that was asked.
+    place: address and port to which the request was sent.
     report: status report of the agent; None without an answer.
     after: seconds until the answer.
     note: reason why there is no answer, or what is wrong with the answer.
@@ -46,41 +46,41 @@ class Asked(Node):
     host: Installed | None = None
 
 
-def ask_all(fleet: Fleet, key: bytes | None, patience: float = PATIENCE) -> list[Asked]:
-    """Ask all robots in parallel for at most `patience` seconds.
+def ask_all(fleet: StoppableFleet, key: bytes | None, timeout: float = ANSWER_TIMEOUT) -> list[StatusAnswer]:
+    """Ask all robots in parallel for at most `timeout` seconds.
 
     Return the answers in the order of the fleet file.
     """
-    answers = [Asked(place, None, patience, "no answer") for place in fleet.places]
+    answers = [StatusAnswer(place, None, timeout, "no answer") for place in fleet.places]
     began = time.monotonic()
 
     def ask(index: int) -> None:
-        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, patience)
+        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, timeout)
 
     threads = [threading.Thread(target=ask, args=(i,), daemon=True) for i in range(len(answers))]
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(max(0.0, began + patience + 0.2 - time.monotonic()))
+        thread.join(max(0.0, began + timeout + 0.2 - time.monotonic()))
     return list(answers)
 
 
-def ask_one(place: Place, application: int, key: bytes | None, began: float, patience: float) -> Asked:
-    """Ask one robot repeatedly until it answers, or `patience` seconds have passed since `began`.
+def ask_one(place: Place, application: int, key: bytes | None, began: float, timeout: float) -> StatusAnswer:
+    """Ask one robot repeatedly until it answers, or `timeout` seconds have passed since `began`.
 
     `began` is a monotonic time.
     """
     if not place.port:
-        return Asked(place, None, 0.0, "the fleet file has no address for it")
+        return StatusAnswer(place, None, 0.0, "the fleet file has no address for the robot")
     try:
         family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
-        return Asked(place, None, 0.0, f"no address: {error}")
-    asking, note = Asking(application, key, os.urandom(NONCE)), "no answer"
+        return StatusAnswer(place, None, 0.0, f"no address: {error}")
+    asking, note = StatusRequest(application, key, os.urandom(NONCE)), "no answer"
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         with suppress(OSError):
             asker.connect(address)
-        while asking.answer is None and (now := time.monotonic()) < began + patience:
+        while asking.answer is None and (now := time.monotonic()) < began + timeout:
             try:
                 for datagram in asking.datagrams():
                     asker.send(datagram)
@@ -88,31 +88,36 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, pat
             except TimeoutError:
                 continue
             except ConnectionRefusedError:
-                note = "no answer: no agent runs there"
+                note = "no answer: no agent runs at this address"
                 time.sleep(_REPEAT)
             except OSError as error:
                 note = f"no answer: {error.strerror or error}"
                 time.sleep(_REPEAT)
     after = time.monotonic() - began
     if asking.answer is None:
-        return Asked(place, None, after, note)
+        return StatusAnswer(place, None, after, note)
     name = asking.answer.get("robot")
-    return Asked(place, asking.answer, after, "" if name == place.name else f"it says that it is {name}")
+    return StatusAnswer(place, asking.answer, after, "" if name == place.name else f"it says that it is {name}")
 
 
-def _listen(asker: socket.socket, asking: Asking, until: float) -> None:
-    """Receive until the next request can be sent or the answer is complete.
+def _listen(asker: socket.socket, asking: StatusRequest, until: float) -> None:
+    """Receive one robot's answer until it is complete or the next request is due.
 
     Raises TimeoutError at `until`.
     """
     while (left := until - time.monotonic()) > 0:
         asker.settimeout(left)
-        if asking.take(asker.recv(LONG + 1)):
+        if asking.receive(asker.recv(LONG + 1)):
             return
 
 
-def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed: Mapping[str, str]) -> list[Asked]:
-    """Return the answers; those of silent robots get their host's state (`found`) or failure (`failed`)."""
+def with_hosts(
+    answers: Sequence[StatusAnswer], found: Mapping[str, Installed], failed: Mapping[str, str]
+) -> list[StatusAnswer]:
+    """Return the answers, completed for robots that did not answer.
+
+    Their answers get the state of their host (`found`), or the failure of their host (`failed`).
+    """
     return [
         replace(a, host=found[a.place.name], note=found[a.place.name].note)
         if a.place.name in found
@@ -123,20 +128,21 @@ def with_hosts(answers: Sequence[Asked], found: Mapping[str, Installed], failed:
     ]
 
 
-def release_of(asked: Asked) -> str:
+def release_of(asked: StatusAnswer) -> str:
     """Return the release that a robot runs, or would run if it were started; empty if unknown."""
     if asked.report is not None:
         return str(asked.report.get("release", ""))
     return asked.host.release if asked.host is not None else ""
 
 
-def odd_releases(answers: Sequence[Asked]) -> dict[str, str]:
-    """Return robot -> release for the robots whose release differs from that of most robots.
+def odd_releases(answers: Sequence[StatusAnswer]) -> dict[str, str]:
+    """Return robot -> release for the robots whose release differs from the release of most robots.
 
     A release may be running or installed. The result is empty when all releases are equal. A fleet with several
     releases cannot begin a mission.
     """
-    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}  # release ids differ with the key, too
+    # release ids also depend on the key, so hosts with different keys have different ids
+    hosts = {a.place.name: a.host.id for a in answers if a.host is not None}
     builds = {a.place.name: release_of(a) for a in answers if a.report is not None or a.host is not None}
     return _odd(hosts) | _odd(builds)
 
@@ -146,7 +152,7 @@ def _odd(releases: Mapping[str, str]) -> dict[str, str]:
     return {name: release for name, release in releases.items() if release != counted[0][0]}
 
 
-def to_json(answers: Sequence[Asked]) -> str:
+def to_json(answers: Sequence[StatusAnswer]) -> str:
     """Return all answers as one JSON document."""
     robots = [
         {
@@ -163,18 +169,18 @@ def to_json(answers: Sequence[Asked]) -> str:
     return json.dumps({"robots": robots, "odd_releases": odd_releases(answers)}, indent=2)
 
 
-def table(answers: Sequence[Asked]) -> str:
+def table(answers: Sequence[StatusAnswer]) -> str:
     """Return a table with a line for each robot, and a last line for robots with a different release."""
     rows = [_COLUMNS, *(_row(a) for a in answers)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
     lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     if odd := odd_releases(answers):
         named = ", ".join(f"{name} ({release[:8] or 'none'})" for name, release in odd.items())
-        lines.append(f"other releases than the rest: {named}; a mission begins only among robots of one release")
+        lines.append(f"robots whose release differs from most: {named}; a mission needs one release on all robots")
     return "\n".join(lines)
 
 
-def _row(asked: Asked) -> tuple[str, ...]:
+def _row(asked: StatusAnswer) -> tuple[str, ...]:
     report = asked.report
     if report is None:
         return _silent_row(asked)
@@ -197,10 +203,10 @@ def _row(asked: Asked) -> tuple[str, ...]:
     )
 
 
-def _silent_row(asked: Asked) -> tuple[str, ...]:
+def _silent_row(asked: StatusAnswer) -> tuple[str, ...]:
     """Return the row of a robot whose agent gave no answer.
 
-    It shows its host's answer if the host was asked.
+    The row shows the answer of the robot's host if the host was asked.
     """
     note = f"{asked.note} ({asked.place.host}:{asked.place.port})"
     if (host := asked.host) is None:

@@ -22,14 +22,14 @@ from koordgen.operate.release import digest_of
 from koordgen.runtime.ops.host import pip_install, requirement_for
 
 PIP = "pip"  # pip's wheel installs the packages on a host, because Debian's own Python has no ensurepip
-PATIENCE = 900.0  # seconds for one download
+DOWNLOAD_TIMEOUT = 900.0  # time limit for one download, in seconds
 _OLDEST_GLIBC = 17  # minor version of glibc 2 that manylinux2014 requires
 _PYTHONS = range(10, 15)  # minor versions of Python 3 on which agents run
 _WIDE = ("x86_64", "aarch64", "riscv64", "ppc64le", "s390x", "loongarch64", "amd64", "arm64")
 
 
 class CannotFetch(Exception):
-    """The wheels for a platform cannot be fetched; `help` says what to do."""
+    """Raised if the wheels for a platform cannot be fetched; `help` says what to do."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -50,18 +50,18 @@ class WheelPlatform(Node):
 
     @property
     def title(self) -> str:
-        """Description of the platform for messages."""
+        """Return a description of the platform for messages."""
         libc = "musl" if self.glibc is None else f"glibc 2.{self.glibc}"
         return f"{self.machine}, {libc}, Python 3.{self.python}"
 
 
 class WheelSet(Node):
-    """All wheels for one platform. `venv` is the name of the virtual environment made from them."""
+    """All wheels for one platform. `venv`: name of the virtual environment that is made from the wheels."""
 
     venv: str
     requirements: str
-    files: dict[str, Path]  # by file name
-    digests: dict[str, str]  # SHA-256 by file name
+    files: dict[str, Path]  # file name -> path
+    digests: dict[str, str]  # file name -> SHA-256
 
 
 def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
@@ -72,11 +72,11 @@ def platform_of(inspected: Mapping[str, Any]) -> WheelPlatform:
     machine, (libc, version) = str(inspected["machine"]), inspected["libc"]
     major, minor = inspected["python"][:2]
     if machine not in _WIDE:
-        help = "the packages have no 32-bit wheels: install a 64-bit system on it"
-        raise CannotFetch(f"its processor is {machine}, and agents need 64 bits", help)
+        help = "the packages have no 32-bit wheels: install a 64-bit system on the host"
+        raise CannotFetch(f"the host's processor is {machine}, but agents need a 64-bit processor", help)
     if major != 3 or minor not in _PYTHONS:
         help = "name an interpreter from 3.10 to 3.14 in the fleet file: `deploy: {python: python3.11}`"
-        raise CannotFetch(f"its Python is {major}.{minor}, and agents run on 3.10 to 3.14", help)
+        raise CannotFetch(f"the host's Python is {major}.{minor}, but agents need 3.10 to 3.14", help)
     glibc = re.fullmatch(r"2\.(\d+).*", str(version)) if libc == "glibc" else None
     return WheelPlatform(machine, int(glibc[1]) if glibc else None, minor)
 
@@ -88,7 +88,7 @@ def wheel_set(requirements: str, platform: WheelPlatform, folder: Path | None) -
     """
     lines = needed_lines(requirements, platform)
     if folder is not None and not folder.is_dir():
-        raise CannotFetch(f"deploy.wheels: {folder}: no such folder", "it is relative to the fleet file's folder")
+        raise CannotFetch(f"deploy.wheels: {folder}: no such folder", "the path is relative to the fleet file's folder")
     key = digest_of([lines, platform.machine, platform.glibc, platform.python, _from_folder(folder)])[:32]
     kept = _cache() / key
     if not kept.is_dir():
@@ -110,7 +110,7 @@ def needed_lines(requirements: str, platform: WheelPlatform) -> list[str]:
         try:
             found[requirement_for(line, (3, platform.python), platform.machine)] = None
         except ValueError as error:
-            raise CannotFetch(f"requirements.txt: {error}", "write NAME==VERSION or NAME>=VERSION") from None
+            raise CannotFetch(f"requirements.txt: {error}", "write lines as NAME==VERSION or NAME>=VERSION") from None
     return sorted(filter(None, found))
 
 
@@ -159,29 +159,29 @@ def _download(lines: list[str], platform: WheelPlatform, folder: Path | None, ke
                 raise _refused(result.stderr, platform, folder)
             os.rename(f"{beside}/wheels", kept)
     except OSError as error:
-        if not kept.is_dir():  # otherwise another process fetched the same wheels at the same time
+        if not kept.is_dir():  # if the folder exists, another process has fetched the same wheels
             help = "free disk space on this computer"
             raise CannotFetch(f"{error.filename or kept}: {error.strerror}", help) from None
 
 
 def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=DOWNLOAD_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
-        message = f"the package index did not deliver within {PATIENCE:g} s"
-        raise CannotFetch(message, "is this computer on the internet? `deploy: {wheels: FOLDER}` needs none") from None
+        message = f"the package index did not deliver the wheels within {DOWNLOAD_TIMEOUT:g} s"
+        raise CannotFetch(message, "connect this computer to the internet, or set `deploy: {wheels: FOLDER}`") from None
 
 
-def _refused(said: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
-    """Return the error for the output `said` of a pip that failed."""
-    if "No module named pip" in said:
+def _refused(output: str, platform: WheelPlatform, folder: Path | None) -> CannotFetch:
+    """Return the error for the output `output` of a pip that failed."""
+    if "No module named pip" in output:
         return CannotFetch("this computer's Python has no pip, which fetches wheels", pip_install("pip"))
-    missing = re.search(r"No matching distribution found for (\S+)", said)
-    unreached = re.search(r"connection|resolve|timed out|network", said, re.IGNORECASE) and folder is None
+    missing = re.search(r"No matching distribution found for (\S+)", output)
+    unreached = re.search(r"connection|resolve|timed out|network", output, re.IGNORECASE) and folder is None
     if missing and not unreached:
         place = f"in {folder}" if folder else "at the package index"
-        help = "`deploy: {python: ...}` names another interpreter; `wheels: FOLDER` takes wheels that you built"
-        return CannotFetch(f"there is no wheel of {missing[1]} {place} for it ({platform.title})", help)
-    last = next((line for line in reversed(said.splitlines()) if line.strip()), "pip failed").strip()
-    help = "is this computer on the internet? `deploy: {wheels: FOLDER}` needs none"
+        help = "choose another Python: `deploy: {python: ...}`; or build the wheels: `deploy: {wheels: FOLDER}`"
+        return CannotFetch(f"there is no wheel of {missing[1]} {place} for the host ({platform.title})", help)
+    last = next((line for line in reversed(output.splitlines()) if line.strip()), "pip failed").strip()
+    help = "connect this computer to the internet, or set `deploy: {wheels: FOLDER}`"
     return CannotFetch(f"wheels for {platform.title} cannot be fetched: {last}", help)

@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-Message = Any  # one of the dialect's generated classes
+Message = Any  # a message: an object of one of the dialect's generated classes
 
 _HEADER = {0xFD: 10, 0xFE: 6}
 _SIGNED = 0x01
@@ -22,13 +22,13 @@ _MARKER = re.compile(rb"[\xfd\xfe]")
 
 
 class Framer:
-    """Decoder of MAVLink 2 frames, and of MAVLink 1 frames, with which an autopilot may begin.
+    """Decoder of MAVLink 2 frames, and of MAVLink 1 frames, which an autopilot may send first.
 
     `rejected`: numbers of bytes and frames that were dropped, by reason."""
 
     def __init__(self) -> None:
         self._mavlink = mavlink.MAVLink(None)
-        self._rest = b""
+        self._unparsed = b""
         self.rejected: dict[str, int] = {}
 
     def datagram(self, data: bytes) -> list[Message]:
@@ -37,11 +37,13 @@ class Framer:
 
     def stream(self, data: bytes) -> list[Message]:
         """Return the messages that a stream's next bytes complete."""
-        messages, self._rest = self._scan(self._rest + data, whole=False)
+        messages, self._unparsed = self._scan(self._unparsed + data, whole=False)
         return messages
 
     def _scan(self, data: bytes, whole: bool) -> tuple[list[Message], bytes]:
-        """Return the messages, and the bytes at the end that may begin an incomplete frame (none if `whole`)."""
+        """Return the messages, and the bytes at the end that may begin a frame.
+
+        With `whole`, incomplete frames are dropped, so no bytes are returned."""
         messages = []
         at, end, skipped = 0, len(data), 0
         while at < end:
@@ -70,7 +72,7 @@ class Framer:
             return None
         try:
             message = self._mavlink.decode(bytearray(frame))
-        except Exception:  # generated code on hostile bytes: whatever it raises, the frame is bad
+        except Exception:  # the dialect's generated code may raise any exception for damaged bytes: drop the frame
             self._count("frames")
             return None
         return message
@@ -80,9 +82,9 @@ class Framer:
 
 
 def _frame_size(data: bytes, at: int) -> int | None:
-    """Return the size of the frame that begins at `at`, or None if no frame begins there.
+    """Return the size of the frame that begins at index `at`; None if no frame begins at this index.
 
-    If the header is incomplete, return one byte more than there are."""
+    If the header is incomplete, return a size one byte larger than the available data."""
     header = _HEADER.get(data[at])
     if header is None:
         return None

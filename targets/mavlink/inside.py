@@ -24,7 +24,7 @@ class Direct:
         pass
 
     def way(self) -> Way | None:
-        """Return an invalid descriptor, since no other process could write to this transport."""
+        """Return an invalid file descriptor, because another process cannot write to a transport in memory."""
         return Way(0, -1)
 
     def send(self, data: bytes) -> bool:

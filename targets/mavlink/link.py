@@ -15,9 +15,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from targets.mavlink.framing import Framer, Message
 from targets.mavlink.transport import Transport
 
-GROUND_STATION = 255  # our system id; as MAV_GCS_SYSID, only its heartbeats hold off the GCS failsafe
+# MAVLink system id of the agent; if MAV_GCS_SYSID equals it, only heartbeats of this id prevent the GCS failsafe
+GROUND_STATION = 255
 COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
-GREETING = 0.4  # seconds between two heartbeats of the agent; the autopilot lands after 5 s without, and some are lost
+# seconds between two heartbeats of the agent: some are lost, and the autopilot lands after 5 s without any
+GREETING = 0.4
 LOST = 2.0  # seconds without a heartbeat after which the vehicle no longer counts as alive
 GONE = 5.0  # seconds without a heartbeat after which another autopilot or ground station no longer counts as present
 RESULTS = {
@@ -32,21 +34,21 @@ RESULTS = {
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """The link's autopilot: the first one with the wanted system id whose heartbeat was received."""
+    """Autopilot of the link: the sender of the first heartbeat with the wanted system id."""
 
     system: int
     component: int
-    autopilot: int  # MAV_AUTOPILOT
-    type: int  # MAV_TYPE
+    autopilot: int  # kind of autopilot: a MAV_AUTOPILOT
+    type: int  # kind of vehicle: a MAV_TYPE
 
 
 @dataclass(slots=True)
-class Asked:
-    """Pending command."""
+class SentCommand:
+    """Command that was sent, and is sent again until its effect is seen."""
 
-    times: int  # number of times that it was sent
-    at: float  # time when it was sent last
-    result: int | None = None  # MAV_RESULT of the last acknowledgement
+    times: int  # number of times that the command was sent
+    at: float  # time when the command was sent last
+    result: int | None = None  # MAV_RESULT in the last acknowledgement; None without an acknowledgement
 
 
 class Link:
@@ -65,7 +67,7 @@ class Link:
         self._greeted = -math.inf
         self._other = -math.inf  # time of the last message of another autopilot that may be the robot's
         self.rival = -math.inf  # time of the last heartbeat of another ground station with the agent's system id
-        self._asked: dict[int, Asked] = {}
+        self._asked: dict[int, SentCommand] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")
         self.rejected = self._framer.rejected
         self.unsent = 0
@@ -77,7 +79,7 @@ class Link:
 
     @property
     def garbled(self) -> int:
-        """Number of received bytes that were not part of a frame."""
+        """Return the number of received bytes that were not part of a frame."""
         return self.rejected.get("bytes", 0)
 
     def alive(self, now: float) -> bool:
@@ -85,15 +87,15 @@ class Link:
         return self.heard is not None and now - self.heard <= LOST
 
     def crowded(self, now: float) -> bool:
-        """Return whether another autopilot sends on this link, so that it is not known which one is the robot's.
+        """Return whether another autopilot sends on this link, so that the robot's autopilot is ambiguous.
 
-        It has another system id, if the setting `system` names none, or sends from another address."""
+        The other autopilot has another system id (counted only if the setting `system` is 0), or another address."""
         return now - self._other <= GONE
 
     def rivalled(self, now: float) -> bool:
         """Return whether another ground station sends heartbeats with the agent's system id.
 
-        If so, the autopilot's failsafe would not act when the agent dies."""
+        In this case, the autopilot's failsafe would not act if the agent died."""
         return now - self.rival <= GONE
 
     def receive(self, now: float) -> list[Message]:
@@ -104,9 +106,10 @@ class Link:
             strange = self._source is not None and source != self._source and self.alive(now)
             for message in decode(data):
                 if not self._from_vehicle(message):
-                    self._take_foreign(message, now)
+                    self._note_foreign(message, now)
                 elif strange:
-                    self._count("another address")  # the vehicle is alive at its own address
+                    # drop the message: the vehicle's own address is different, and its heartbeats arrive
+                    self._count("another address")
                     self._other = now
                 else:
                     self._source, self.spoke = source, now
@@ -123,8 +126,8 @@ class Link:
             self.vehicle = Vehicle(system, component, message.autopilot, message.type)
         return (system, component) == (self.vehicle.system, self.vehicle.component)
 
-    def _take_foreign(self, message: Message, now: float) -> None:
-        """Record a message that is not the vehicle's: of another autopilot, a ground station, or a gimbal."""
+    def _note_foreign(self, message: Message, now: float) -> None:
+        """Record a message from another sender than the vehicle: an autopilot, a ground station, a gimbal."""
         system = message.get_srcSystem()
         chosen = self.system or (self.vehicle.system if self.vehicle is not None else 0)
         if chosen and system != chosen:
@@ -145,12 +148,12 @@ class Link:
                 if asked is not None and message.target_system in (0, GROUND_STATION):
                     asked.result = message.result
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
-                self._take_text(message, now)
+                self._note_text(message, now)
 
-    def _take_text(self, message: Message, now: float) -> None:
+    def _note_text(self, message: Message, now: float) -> None:
         """Record a STATUSTEXT. Long texts arrive in chunks of 50 characters with a common id.
 
-        If a chunk is lost, the text ends before it."""
+        If a chunk is lost, the recorded text ends before the lost chunk."""
         text = message.text if isinstance(message.text, str) else bytes(message.text).decode("ascii", "replace")
         text = "".join(c if c.isprintable() else "?" for c in text)
         if message.id:
@@ -163,7 +166,7 @@ class Link:
         self.texts.append((now, message.severity, text))
 
     def reasons(self, since: float) -> str:
-        """Return the autopilot's last STATUSTEXTs since a time, of severity warning or worse; "" if there are none."""
+        """Return the latest STATUSTEXTs since a time, of severity warning or worse; "" without any."""
         said = [text for at, severity, text in self.texts if at >= since and severity <= mavlink.MAV_SEVERITY_WARNING]
         return "; ".join(dict.fromkeys(said[-4:]))
 
@@ -184,33 +187,35 @@ class Link:
         if not self._transport.send(frame):
             self.unsent += 1
 
-    def ask(self, now: float, command: int, *params: float, every: float = 1.0) -> Asked:
-        """Send a command, and repeat it every `every` seconds as long as this is called. Unused params are zero."""
+    def ask(self, now: float, command: int, *params: float, every: float = 1.0) -> SentCommand:
+        """Send a command, and send it again in calls that come `every` seconds later. Unused params are zero."""
         asked = self._asked.get(command)
         if asked is None:
-            asked = self._asked[command] = Asked(0, -math.inf)
+            asked = self._asked[command] = SentCommand(0, -math.inf)
         if now - asked.at >= every and self.vehicle is not None:
             self._command(command, min(asked.times, 255), *params)
             asked.times, asked.at = asked.times + 1, now
         return asked
 
-    def asked(self, command: int) -> Asked | None:
-        """Return the pending command, if any."""
+    def asked(self, command: int) -> SentCommand | None:
+        """Return the pending command with this number, or None."""
         return self._asked.get(command)
 
     def forget(self, command: int) -> None:
-        """Drop a pending command, because its effect was seen or is no longer wanted; the next `ask` starts anew."""
+        """Drop a pending command after its effect was seen or is not wanted any more.
+
+        The next `ask` sends the command at once."""
         self._asked.pop(command, None)
 
-    def tell(self, command: int, *params: float) -> None:
-        """Send a command once. The caller checks its effect."""
+    def send_once(self, command: int, *params: float) -> None:
+        """Send a command once, without a repetition. The caller checks the effect of the command."""
         self._command(command, 0, *params)
 
     def _command(self, command: int, confirmation: int, *params: float) -> None:
         if self.vehicle is None:
             return
         if not all(map(math.isfinite, params)):
-            raise ValueError(f"command {command} with {params}: not finite")
+            raise ValueError(f"command {command} with {params}: a parameter is not finite")
         seven = (*params, *(0.0,) * (7 - len(params)))
         self.send(
             mavlink.MAVLink_command_long_message(

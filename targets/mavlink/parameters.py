@@ -1,4 +1,4 @@
-"""Check of an autopilot's parameters on which a flight or a drive depends: they are read and compared, never written.
+"""Check of an autopilot's parameters on which a flight or a drive depends. The check never writes parameters.
 
 Each parameter is requested by PARAM_REQUEST_READ, alternately under its present and its older names, because an
 autopilot does not answer a request for an unknown name.
@@ -19,13 +19,13 @@ from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 
 EVERY = 0.7  # seconds between two requests for the same parameter
-TURNS = 6  # requests after which a parameter counts as one that does not answer
+TURNS = 6  # after this many requests without an answer, a parameter counts as missing
 WAY_OUT = (
-    "set it by a ground station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` "
-    "takes off all the same"
+    "correct them with a ground station, or switch on a pilot's remote control; with the robot's setting "
+    "`allow_no_failsafe: true` the robot takes off without either"
 )
-PILOT = "it takes off because a remote control is there: should the agent die, its pilot must land it"
-REREAD = 5.0  # seconds after which parameters that were wrong are read again
+PILOT = "the take-off is allowed because a remote control is there; if the agent dies, its pilot must land the robot"
+REREAD = 5.0  # seconds between two readings of parameters that are wrong or missing
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<B",
     mavlink.MAV_PARAM_TYPE_INT8: "<b",
@@ -41,17 +41,19 @@ class Wanted:
     """Required value of a parameter."""
 
     name: str
-    older: tuple[str, ...]  # its names in older firmware versions
-    values: tuple[float, ...]  # the right values
+    older: tuple[str, ...]  # names of the parameter in older firmware versions
+    values: tuple[float, ...]  # allowed values, or bits
     why: str  # consequence of a wrong value, or meaning of the parameter
-    vital: bool = False  # whether the vehicle must not take off with a wrong value
-    bits: bool = False  # whether `values` are bits, each of which must be set
-    versions: tuple[int, int] | None = None  # first and last flight_sw_version that need it; None: all versions
+    vital: bool = False  # True: the vehicle must not take off with a wrong value
+    bits: bool = False  # True: `values` are bits, and each of them must be set
+    versions: tuple[int, int] | None = None  # firmware versions (first, last) that need the parameter; None: all
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Value of a parameter that the autopilot reported, and the name under which it did; None: no answer."""
+    """Reported value of a parameter.
+
+    `name`: name of the parameter in the autopilot's answer. `found`: the value; None without an answer."""
 
     wanted: Wanted
     name: str
@@ -65,7 +67,7 @@ class Reading:
 
     @property
     def expected(self) -> str:
-        """The right values, in words."""
+        """Return a text that lists the allowed values."""
         if self.wanted.bits:
             return f"{sum(self.wanted.values):g}, or any number with that bit set"
         return " or ".join(f"{v:g}" for v in self.wanted.values)
@@ -79,7 +81,7 @@ class Reading:
 class _Asked:
     times: int = 0
     at: float = -math.inf
-    name: str = ""  # the name under which the autopilot answered; "": no answer yet
+    name: str = ""  # name of the parameter in the autopilot's answer; "": no answer yet
     raw: bytes = b""
     value: float = 0.0
     type: int = 0
@@ -88,17 +90,17 @@ class _Asked:
 class Parameters:
     """Reader of the required parameters; poll it until it is `done`.
 
-    `bytewise`: whether integers arrive as raw bytes, if the autopilot does not report its encoding."""
+    `bytewise`: True if integers arrive as raw bytes from an autopilot that does not report its encoding."""
 
     def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
         self._asked = {w: _Asked() for w in wanted}
         self._names = {name: w for w in wanted for name in (w.name, *w.older)}
         self._bytewise = bytewise
-        self._version: int | None = None  # AUTOPILOT_VERSION.flight_sw_version
+        self._version: int | None = None  # firmware version: AUTOPILOT_VERSION.flight_sw_version
         self._asked_version = 0  # number of requests for AUTOPILOT_VERSION
 
-    def take(self, message: Message) -> None:
-        """Take one of the vehicle's messages."""
+    def handle(self, message: Message) -> None:
+        """Handle a message of the vehicle: the value of a parameter, or the autopilot's version."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
                 self._version = message.flight_sw_version
@@ -132,7 +134,7 @@ class Parameters:
                 )
 
     def done(self, now: float) -> bool:
-        """Return whether each required parameter has answered or was requested often enough."""
+        """Return whether each required parameter was received, or was requested TURNS times."""
         if self._version is None and self._asked_version < TURNS and any(w.versions for w in self._asked):
             return False
         return all(
@@ -146,14 +148,14 @@ class Parameters:
         return self._version is not None and first <= self._version <= last
 
     def again(self) -> None:
-        """Read the parameters that were wrong or missing again."""
+        """Begin a new reading of the parameters that are wrong or missing."""
         for reading in self.readings:
             if not reading.right:
                 self._asked[reading.wanted] = _Asked()
 
     @property
     def readings(self) -> tuple[Reading, ...]:
-        """Readings of all parameters that this firmware version needs."""
+        """Return the readings of all parameters that this firmware version needs."""
         return tuple(
             Reading(w, a.name, self._value(a)) if a.name else Reading(w, w.name, None)
             for w, a in self._asked.items()
@@ -162,7 +164,7 @@ class Parameters:
 
     @property
     def differences(self) -> tuple[Reading, ...]:
-        """Readings that are wrong or missing, the vital ones first."""
+        """Return the readings that are wrong or missing: first those of vital parameters."""
         wrong = [r for r in self.readings if not r.right]
         return tuple(sorted(wrong, key=lambda r: not r.wanted.vital))
 
@@ -176,37 +178,37 @@ class Parameters:
 class Review:
     """Check of the parameters before a take-off.
 
-    As long as some are wrong, they are read again, in case somebody corrects them. Each difference is reported once. A
-    wrong vital parameter forbids the take-off only if there is no remote control either, because a pilot or a failsafe
-    must be able to land the vehicle if the agent dies."""
+    Wrong parameters are read again periodically, because somebody may correct them. Each difference is reported once. A
+    wrong vital parameter forbids the take-off unless the autopilot receives a remote control: if the agent dies, a
+    pilot or a failsafe must be able to land the vehicle."""
 
     def __init__(self, wanted: tuple[Wanted, ...], bytewise: bool) -> None:
         self._parameters = Parameters(wanted, bytewise)
         self._differences: tuple[Reading, ...] = ()
         self._reread = -math.inf
-        self._told: tuple[str, ...] = ()
-        self._piloted = False  # whether the autopilot receives a remote control
-        self.known = False  # whether each parameter was read, or does not answer
+        self._reported: tuple[str, ...] = ()
+        self._piloted = False  # True: the autopilot receives a remote control
+        self.known = False  # True: each parameter was received or counts as missing
 
-    def take(self, message: Message) -> None:
-        """Take one of the vehicle's messages."""
-        self._parameters.take(message)
+    def handle(self, message: Message) -> None:
+        """Handle a message of the vehicle: a parameter, or the channels of a remote control."""
+        self._parameters.handle(message)
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_RC_CHANNELS:
             self._piloted = message.chancount > 0
 
     def poll(self, link: Link, now: float) -> None:
-        """Request the missing parameters, and those that were wrong every REREAD seconds."""
+        """Request missing parameters; every REREAD seconds, read wrong parameters again."""
         self._parameters.poll(link, now)
         if self._parameters.done(now):
             self.known, self._differences = True, self._parameters.differences
             if self._differences and now - self._reread >= REREAD:
                 self._reread = now
                 self._parameters.again()
-                link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
+                link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
 
     @property
     def forbids(self) -> str:
-        """Wrong vital parameters that forbid the take-off, with the remedy, in words; "" if none does."""
+        """Return a text: the wrong vital parameters that forbid the take-off, and the remedy; "" if none."""
         vital = self._vital
         return f"{vital} ({WAY_OUT})" if vital and not self._piloted else ""
 
@@ -214,19 +216,19 @@ class Review:
     def _vital(self) -> str:
         return "; ".join(str(r) for r in self._differences if r.wanted.vital)
 
-    def news(self) -> str:
-        """Return differences that were not reported yet, and mark them as reported."""
+    def unreported(self) -> str:
+        """Return a text of the wrong parameters if it has changed since the last call, else ""."""
         differences = tuple(map(str, self._differences))
         if self._vital and self._piloted:
             differences = (*differences, PILOT)
-        if differences == self._told:
+        if differences == self._reported:
             return ""
-        self._told = differences
+        self._reported = differences
         return f"parameters of the autopilot differ: {'; '.join(differences)}" if differences else ""
 
 
 def _first_field(frame: bytes) -> bytes:
     """Return the raw bytes of PARAM_VALUE.param_value.
 
-    They may be an integer whose bits form a NaN as a float; converting that would change the bits."""
+    The bytes may be an integer that is a NaN when read as a float. A conversion to float could change its bits."""
     return frame[10:14] if frame[0] == 0xFD else frame[6:10]

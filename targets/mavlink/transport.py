@@ -1,4 +1,7 @@
-"""Non-blocking transports to an autopilot: UDP, TCP, serial. They reconnect after silence, refusal and unplugging."""
+"""Non-blocking transports to an autopilot: UDP, TCP, serial.
+
+A transport reconnects after silence, a refused connection or an unplugged device.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,13 @@ from koordgen.runtime.vehicle.platform import Unready
 Address = tuple[Any, ...]
 Chunk = tuple[bytes, Address | None]
 
-BUDGET = 16384  # maximum bytes read in one call: far more than an autopilot sends, but limits the cost of a flood
-FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0  # seconds before a broken connection is reopened; doubled until data arrives
+# largest number of bytes read in one call: more than an autopilot sends; bounds the cost of a flood
+BUDGET = 16384
+# first pause before a broken connection is reopened, in seconds; doubled until data arrives
+FIRST_WAIT, LONGEST_WAIT = 0.25, 2.0
 SILENT = 3.0  # seconds without received data after which a TCP connection is closed and reopened
 REPLUG = 0.5  # seconds between two attempts to reopen a device
-_GONE = (OSError, ValueError, TypeError, termios.error)  # exceptions of pyserial when a device is unplugged
+_GONE = (OSError, ValueError, TypeError, termios.error)  # exceptions that pyserial raises when a device is unplugged
 HINT = "use udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE:BAUD"
 
 
@@ -43,11 +48,11 @@ class Transport(Protocol):
     datagrams: bool  # True: data arrives as datagrams of whole frames; False: as a byte stream
 
     def receive(self, now: float) -> list[Chunk]:
-        """Return received datagrams with the sender's address, if any; at most about BUDGET bytes."""
+        """Return received pieces of data with the senders' addresses, about BUDGET bytes at most."""
         ...
 
     def answer(self, source: Address | None) -> None:
-        """Send to this address from now on, because the vehicle has sent from there."""
+        """Send to this address from now on: the vehicle sends from it."""
         ...
 
     def send(self, data: bytes) -> bool:
@@ -82,7 +87,7 @@ class Udp:
                 data, source = self._socket.recvfrom(2048)
             except BlockingIOError:
                 break
-            except OSError:  # an ICMP refusal of something sent earlier
+            except OSError:  # the error reports an ICMP refusal of a datagram that was sent earlier
                 size += 1024
                 continue
             size += len(data) + 64
@@ -95,7 +100,7 @@ class Udp:
             self._peer = source
 
     def way(self) -> Way | None:
-        """Return the destination; None while the vehicle's address is unknown."""
+        """Return the vehicle as destination; None while its address is unknown."""
         return None if self._peer is None else Way(0, self._socket.fileno(), self._peer)
 
     def send(self, data: bytes) -> bool:
@@ -120,13 +125,13 @@ class Tcp:
         self._peer, self._family, self._make = peer, family, make
         self._socket: socket.socket | None = None
         self._retry = float("-inf")  # earliest time of the next attempt to connect
-        self._wait = FIRST_WAIT  # seconds to wait after the next failure
+        self._wait = FIRST_WAIT  # pause after the next failure to connect, in seconds
         self._heard = 0.0  # time of the last received data, or of the attempt to connect
         self._unsent = b""
         self._openings = 0
 
     def way(self) -> Way | None:
-        """Return the destination; None while there is no connection."""
+        """Return the connection as destination; None without a connection."""
         return None if self._socket is None else Way(self._openings, self._socket.fileno())
 
     def receive(self, now: float) -> list[Chunk]:
@@ -140,7 +145,7 @@ class Tcp:
             except BlockingIOError:
                 break
             except OSError as error:
-                if error.errno != errno.ENOTCONN:  # still connecting
+                if error.errno != errno.ENOTCONN:  # the connection is not established yet
                     self._drop(now)
                 break
             if not data:
@@ -162,7 +167,7 @@ class Tcp:
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             refused = self._socket.connect_ex(self._peer) not in (0, errno.EINPROGRESS, errno.EWOULDBLOCK)
-        except OSError:  # no file descriptor left
+        except OSError:  # the process has no free file descriptor
             refused = True
         if refused:
             self._drop(now)
@@ -177,7 +182,7 @@ class Tcp:
     def send(self, data: bytes) -> bool:
         if self._socket is None or len(self._unsent) > 4096:
             return False
-        data = self._unsent + data  # the rest of a partly sent frame goes first
+        data = self._unsent + data  # first send the rest of a partly sent frame
         try:
             sent = self._socket.send(data)
         except BlockingIOError:
@@ -206,11 +211,11 @@ class Serial:
         self._port: Any = self._opened()
 
     def way(self) -> Way | None:
-        """Return the destination; None while the device is unplugged."""
+        """Return the device as destination; None while it is unplugged."""
         return None if self._port is None else Way(self._openings, self._port.fileno())
 
     def _opened(self) -> Any:
-        import serial  # imported only for serial links
+        import serial  # import pyserial only for serial links
 
         self._openings += 1
         return serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
@@ -246,11 +251,11 @@ class Serial:
             self._unsent = self._unsent[self._write(self._unsent) :]
         written = 0 if self._unsent else self._write(data)
         if written:
-            self._unsent = data[written:]  # to be sent first, else the next frame would be corrupted
+            self._unsent = data[written:]  # rest of a partly sent frame; it must be sent before the next frame
         return written > 0
 
     def _write(self, data: bytes) -> int:
-        # pyserial's own non-blocking write would spin, and never return, while the device accepts no bytes.
+        # Use os.write: pyserial's own non-blocking write would loop for ever while the device accepts no bytes.
         try:
             return os.write(self._port.fileno(), data)
         except _GONE:
@@ -267,7 +272,7 @@ def opened(url: str) -> Udp | Tcp | Serial:
     place, _, number = rest.rpartition(":")
     if scheme not in ("udpin", "udpout", "tcp", "serial") or not place or not number.isdecimal():
         raise Unready(f"autopilot: {url!r} is no MAVLink link", HINT)
-    if scheme != "serial" and not 0 < int(number) < 65536:  # getaddrinfo would wrap it around
+    if scheme != "serial" and not 0 < int(number) < 65536:  # getaddrinfo would reduce the port modulo 65536
         raise Unready(f"autopilot: {url!r} has no port within 1 to 65535", HINT)
     try:
         if scheme == "serial":
@@ -287,8 +292,8 @@ def opened(url: str) -> Udp | Tcp | Serial:
 def _hint(scheme: str) -> str:
     match scheme:
         case "serial":
-            return "is the device there, not used by another program, and may this user read it (group dialout)?"
+            return "check that the device exists, that no other program uses it, and that you are in group dialout"
         case "udpin":
-            return "does another program (a ground station, another agent) listen on this port?"
+            return "another program may listen on this port: end that ground station or agent"
         case _:
-            return "is the host's name right?"
+            return "check the host's name"

@@ -1,6 +1,6 @@
-"""Judge of a planner: rejects infeasible questions, and checks each path exactly against all obstacles.
+"""Judge of a planner: rejects infeasible questions, and checks paths against all obstacles.
 
-No unchecked path is returned, whichever planner computed it."""
+The check is exact. No path is returned without a check, whichever planner computed the path."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from targets.planning.world import Path, Planner, Scene, World
 MOST_POINTS = 1000  # maximum number of points of a path
 ROUNDING = 1e-9  # metres by which a point may be outside of the arena because of rounding
 
-NAMES = ("rrt", "rrt-smoothed", "rrt-star", "straight")  # built-in planners; a user's own is "module:Class"
+NAMES = ("rrt", "rrt-smoothed", "rrt-star", "straight")  # built-in planners; users name theirs "module:Class"
 
 
 class BadPlanner(Exception):
-    """Raised if a planner cannot be created; the message gives the reason."""
+    """Raised if a planner cannot be created. The message gives the reason."""
 
 
 class Judge(Protocol):
     """Interface of a judge, which calls a planner and checks its paths.
 
-    It is created with the planner's name and a World; that may raise BadPlanner."""
+    A judge is created with the planner's name and a World. The creation may raise BadPlanner."""
 
     def serve(self, question: Question) -> Answer: ...
 
 
 def judging(judge: str, name: str, world: World) -> Judge:
-    """Return the judge `module:Class` with the planner of that name. Raises BadPlanner."""
+    """Create the judge `module:Class` with the planner of this name. Raises BadPlanner."""
     module, _, member = judge.partition(":")
     try:
         made: Judge = getattr(import_module(module), member)(name, world)
@@ -45,26 +45,28 @@ def judging(judge: str, name: str, world: World) -> Judge:
 
 
 def make(name: str, world: World) -> Planner:
-    """Return the planner of that name. Raises BadPlanner."""
+    """Create the planner of this name: a built-in one, or "module:Class". Raises BadPlanner."""
     if name in NAMES:
         if name == "rrt-star" and own_trees.is_needed():
             raise BadPlanner(own_trees.NEEDS_OMPL)
-        from targets.planning.rrt import PLANNERS  # imported here, so that only planner processes load its packages
+        from targets.planning.rrt import PLANNERS  # imported here, so that only planner processes load OMPL
 
         return PLANNERS[name](world)
     module, _, member = name.partition(":")
     try:
         found: Any = getattr(import_module(module), member)(world)
     except Exception as error:
-        raise BadPlanner(f"the planner {name} cannot be made: {type(error).__name__}: {error}") from None
+        raise BadPlanner(f"the planner {name} cannot be created: {type(error).__name__}: {error}") from None
     if not callable(getattr(found, "plan", None)):
         raise BadPlanner(f"the planner {name} has no method plan")
     planner: Planner = found
     return planner
 
 
-class Asked:
-    """Judge with its planner; creation raises BadPlanner. `answer` does not raise, whatever the planner does."""
+class PlannerJudge:
+    """Judge that calls a planner and checks its paths. The creation may raise BadPlanner.
+
+    `answer` raises no exception of the planner."""
 
     def __init__(self, name: str, world: World) -> None:
         self._world = world
@@ -77,7 +79,9 @@ class Asked:
         return Answer(question.number, path, reason)
 
     def answer(self, start: Point, goal: Point, scene: Scene, seconds: float) -> tuple[Path, str]:
-        """Return a path and "", or () and the reason in words; the reason is "" if the planner found no path."""
+        """Return a path and "", or () and the reason in words.
+
+        If the planner found no path and gave no reason, the result is () and ""."""
         world = self._world
         if not world.flies:
             start, goal = Point(start.x, start.y, 0.0), goal
@@ -95,7 +99,7 @@ class Asked:
         return ((), f"the planner's path was refused: {reason}") if reason else (tuple(path), "")
 
     def _planned(self, here: Room, start: Point, goal: Point, scene: Scene, seconds: float) -> Any:
-        if isinstance(self._planner, InRoom):  # built-in planners reuse the Room: a large scene is prepared once
+        if isinstance(self._planner, InRoom):  # built-in planners reuse the Room: a large scene is prepared only once
             return self._planner.plan_in(here, start, goal, seconds)
         return self._planner.plan(start, goal, scene, seconds)
 
@@ -118,20 +122,20 @@ def infeasible(world: World, here: Room, start: Point, goal: Point) -> str:
 
 
 def misled(world: World, here: Room, start: Point, goal: Point, path: Any) -> str:
-    """Return what is wrong with a planner's path, in words; "" if it may be followed."""
+    """Return the fault of a planner's path, in words; "" if the path may be followed."""
     if not isinstance(path, (tuple, list)) or not all(isinstance(p, Point) and finite(p) for p in path):
-        return "it is no tuple of finite Points"
+        return "the path is no tuple of finite Points"
     if not 2 <= len(path) <= MOST_POINTS:
-        return f"it has {len(path)} points"
+        return f"the path has {len(path)} points"
     if path[0] != start or path[-1] != goal:
-        return "it does not lead from start to goal"
+        return "the path does not lead from start to goal"
     outside = [p for p in path[1:] if not within(world.arena, p)]
     if outside:
         return f"({outside[0].x:.2f}, {outside[0].y:.2f}, {outside[0].z:.2f}) is outside the arena"
     for a, b in pairwise(path):
         away, name = here.nearest(a, b)
         if name:
-            return f"it comes within {away:.3f} m of {name}"
+            return f"the path comes within {away:.3f} m of {name}"
     return ""
 
 

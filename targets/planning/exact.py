@@ -1,11 +1,12 @@
-"""Exact distance of a line segment from a solid obstacle: exact but for rounding, not sampled.
+"""Distance of a line segment from a solid obstacle, exact but for rounding, without sampling.
 
-Along a segment, parametrised by t in [0, 1], the distance to a convex body is a convex function. For a box, its square
-consists of at most seven quadratics. For an upright cylinder, its pieces are linear, or the distance to a line, or
-smooth; in a smooth piece, the zero of the derivative is found by bisection to the last bit.
+Along a segment, parametrised by t in [0, 1], the distance to a convex body is a convex function. For a box, the square
+of the distance consists of at most seven quadratics. For an upright cylinder, the pieces of the distance are linear, or
+the distance to a line, or smooth. In a smooth piece, bisection finds the zero of the derivative to the last bit.
 
-The result is the distance of a point that lies on the segment. So it is below the true distance by no more than its own
-rounding. If the segment enters the body, the distance is 0. Metres, local ENU. Meshes are in `mesh.py`.
+The result is the distance of a point on the segment from the body. So it is below the true distance by no more than a
+rounding error. If the segment enters the body, the distance is 0. Lengths are in metres, positions in local ENU.
+`mesh.py` measures meshes.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from koordgen.runtime.values.geometry import segment_distance
 from koordgen.runtime.values.obstacles import Block, Cylinder, Sphere
 from koordgen.runtime.values.points import Point
 
-BISECTIONS = 60  # bisection steps of an interval within [0, 1]: more than a float has bits
+BISECTIONS = 60  # bisection steps of an interval within [0, 1]: more than the bits of a float's mantissa
 
 Solid = Block | Sphere | Cylinder
 
 
 def solid_distance(body: Solid, a: Point, b: Point) -> float:
-    """Return the least distance of the segment ab from a body, in metres; 0 when they have a point in common."""
+    """Return the least distance (m) of the segment ab from a body; 0 if the segment touches the body."""
     match body:
         case Block(lo, hi):
             return _block(lo, hi, a, b)
@@ -42,7 +43,7 @@ def _block(lo: Point, hi: Point, a: Point, b: Point) -> float:
     places.sort()
     best = min([_from_block(axes, t) for t in places])
     for begin, end in pairwise(places):
-        middle = (begin + end) / 2  # between two places the same faces are nearest
+        middle = (begin + end) / 2  # from `begin` to `end`, the nearest faces of the block stay the same
         product = square = 0.0
         for low, high, p, d in axes:
             x = p + middle * d
@@ -55,7 +56,7 @@ def _block(lo: Point, hi: Point, a: Point, b: Point) -> float:
 
 
 def _from_block(axes: tuple[tuple[float, float, float, float], ...], t: float) -> float:
-    """Return the squared distance of the place at t."""
+    """Return the squared distance of the segment's place at `t` from the block."""
     total = 0.0
     for low, high, p, d in axes:
         x = p + t * d
@@ -77,7 +78,9 @@ def _cylinder(body: Cylinder, a: Point, b: Point) -> float:
         return math.hypot(max(0.0, outside), max(0.0, -up, up - height))
 
     def rising(t: float) -> bool:
-        """Return whether the distance grows with t, at a place both beside and above (or below) the cylinder."""
+        """Return whether the distance grows with t.
+
+        The place at t is beside the cylinder, and also above or below it."""
         px, py, up = x + t * dx, y + t * dy, z + t * dz
         axis = math.hypot(px, py)
         return (axis - radius) / axis * (px * dx + py * dy) + (up if up < 0 else up - height) * dz > 0

@@ -1,4 +1,4 @@
-"""Check that commanded paths, which no planner has checked, keep their distance from the fleet file's obstacles."""
+"""Check of commanded paths, which no planner has checked, against the fleet file's obstacles."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from koordgen.runtime.values.points import Point, distance
 from targets.planning.room import Room, fixed
 from targets.planning.world import Path
 
-HERE = 0.1  # m; first points of a path that are nearer to the vehicle than this are skipped
+HERE = 0.1  # m; points at the beginning of a path that are within this distance of the vehicle are skipped
 
 
 class Guard:
-    """Check of paths of a vehicle's reference point. The distance to keep is the sum of `parts` (m, by name).
+    """Check of the paths of a vehicle's reference point.
 
-    A vehicle that is nearer to an obstacle than that may leave. On the first leg of its path, it must keep 95 % of its
-    present distance. On later legs, it must keep 95 % of the largest distance that it has had since it came too near.
-    So targets that creep towards an obstacle are refused."""
+    The distance to keep from obstacles is the sum of `parts` (m, by name).
+
+    A vehicle that is already nearer to an obstacle may leave this obstacle. On the first leg of its path, it must keep
+    95 % of its present distance. On later legs, it must keep 95 % of the largest distance that it has had since it came
+    too near. So targets that creep towards an obstacle are refused."""
 
     def __init__(self, obstacles: Iterable[Obstacle], parts: Mapping[str, float]) -> None:
         self._standing = fixed(obstacles)
@@ -27,9 +29,9 @@ class Guard:
         self._near: dict[str, float] = {}  # reduced distances to keep from obstacles that are too near, by name
 
     def trouble(self, position: Point, path: Path) -> str:
-        """Return why the path from `position`, the vehicle's, along these points is refused, in words; "" if it is not.
+        """Return the reason why a path is refused, in words; "" if the path may be followed.
 
-        The test is exact."""
+        The path leads from the vehicle's `position` along the points `path`. The test is exact."""
         if not self._standing:
             return ""
         here = Room(position)
@@ -40,7 +42,7 @@ class Guard:
         return self._met(here, (position, *path[:1])) or self._met(self._beyond(here), (*path[:1], *path))
 
     def _beyond(self, here: Room) -> Room:
-        """Return the obstacles, with the distances to keep, for a path after its first part."""
+        """Return the obstacles for the legs after the first leg of a path, with the distances to keep."""
         if not self._near:
             return here
         found = Room(Point())

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 
-STARTS = 6  # maximum number of searches if iterations limit the work
+STARTS = 6  # maximum number of searches of a question if iterations limit the work
 
 
 class Limit:
-    """Limit of `seconds`, or, if given, of `iterations` in each search. Callable: True once the limit is reached.
+    """Limit of a planner's work, by time (`seconds`) or by `iterations` in each search.
 
-    OMPL calls it in each iteration."""
+    If `iterations` is None, the time counts. The limit is called in each iteration, and returns True once it is
+    reached."""
 
     def __init__(self, seconds: float, iterations: int | None) -> None:
         self._end = time.perf_counter() + seconds
@@ -22,7 +23,7 @@ class Limit:
         return time.perf_counter() > self._end if self._iterations is None else self._done > self._iterations
 
     def later(self, seconds: float) -> Limit:
-        """Return a limit with the same beginning that ends after `seconds`, or with this one if that is later."""
+        """Return a limit with the same beginning that ends `seconds` after it, but not before this limit."""
         found = Limit(seconds, self._iterations)
         found._begun = self._begun
         found._end = max(self._end, self._begun + seconds)
@@ -33,7 +34,7 @@ class Limit:
         return self._iterations is None and time.perf_counter() > self._end
 
     def spent(self, turn: int) -> bool:
-        """Return whether, after `turn` searches, another one would not end in time."""
+        """Return whether there is no time for another search after `turn` searches."""
         if self._iterations is not None:
             self._done = 0
             return turn >= STARTS

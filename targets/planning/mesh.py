@@ -1,10 +1,10 @@
-"""Distance of a line segment from a triangle mesh, in closed form, exact but for rounding, vectorised with numpy.
+"""Distance of a line segment from a triangle mesh, exact but for rounding, vectorised with numpy.
 
-The distance of a segment from a triangle is 0 if the segment passes through it. Otherwise it is the least of these: the
-distances of the segment from the three sides, and the distances of its ends from the triangle's plane, for each end
-whose projection onto the plane is inside the triangle. Each is the distance of two points that lie on segment and
-triangle, computed as in `koordgen.runtime.values.geometry`. Up to FEW triangles are measured one by one, which is
-faster than numpy.
+The distance of a segment from a triangle is 0 if the segment passes through the triangle. Otherwise it is the least of
+these distances: of the segment from the three sides, and of each end of the segment from the triangle's plane, if the
+end's projection onto the plane is inside the triangle. Each of them is the distance between a point of the segment and
+a point of the triangle, computed as in `koordgen.runtime.values.geometry`. Up to FEW triangles are measured one by one,
+which is then faster than numpy.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from koordgen.runtime.values.geometry import segment_distance
 from koordgen.runtime.values.obstacles import Mesh
 from koordgen.runtime.values.points import Point
 
-FEW = 12  # number of triangles up to which they are measured one by one
+FEW = 12  # up to this number of triangles, a loop over the triangles is faster than numpy
 
 Array = NDArray[np.float64]
 
 
 class Surface:
-    """Mesh prepared for distance queries. `low` and `high` are the corners of the box around it."""
+    """Triangle mesh prepared for distance queries. `low`, `high`: corners of its bounding box."""
 
     def __init__(self, mesh: Mesh) -> None:
         vertices = np.array([(p.x, p.y, p.z) for p in mesh.vertices])
-        self._corners: Array = vertices[np.array(mesh.faces, dtype=np.intp)]  # (faces, 3 corners, 3)
+        self._corners: Array = vertices[np.array(mesh.faces, dtype=np.intp)]  # shape: (faces, 3 corners, 3 axes)
         self._low, self._high = self._corners.min(axis=1), self._corners.max(axis=1)
         self.low = Point(*map(float, self._low.min(axis=0)))
         self.high = Point(*map(float, self._high.max(axis=0)))
@@ -55,11 +55,13 @@ class Triangle:
         u, v = b - a, c - a
         normal = Point(u.y * v.z - u.z * v.y, u.z * v.x - u.x * v.z, u.x * v.y - u.y * v.x)
         square = _inner(normal, normal)
-        self._normal = normal / math.sqrt(square) if square > 0 else None  # None: it has no area
+        self._normal = normal / math.sqrt(square) if square > 0 else None  # None without area
         self._offset = _inner(self._normal, a) if self._normal is not None else 0.0
 
     def distance(self, a: Point, b: Point, within: float) -> float:
-        """Return the distance of the segment ab, as `Surface.distance`."""
+        """Return the distance (m) of the segment ab from the triangle.
+
+        If the distance is more than `within`, return any value above `within`, possibly infinity."""
         p, q, r = self._corners
         normal, best = self._normal, math.inf
         if normal is not None:
@@ -91,7 +93,9 @@ def _inner(p: Point, q: Point) -> float:
 
 
 def _least(corners: Array, start: Array, d: Array) -> float:
-    """Return the least distance of triangles (n, 3 corners, 3) from the segment start + t d, 0 <= t <= 1."""
+    """Return the least distance of triangles from the segment start + t d, 0 <= t <= 1.
+
+    `corners`: the corners of the triangles, of shape (n, 3 corners, 3 coordinates)."""
     first, sides = corners, np.roll(corners, -1, axis=1) - corners
     best = float(_segments(start, d, first.reshape(-1, 3), sides.reshape(-1, 3)).min())
     normal = np.cross(sides[:, 0], sides[:, 1])
@@ -100,7 +104,8 @@ def _least(corners: Array, start: Array, d: Array) -> float:
     if not flat.any():
         return math.sqrt(best)
     corners, sides, normal, square = corners[flat], sides[flat], normal[flat], square[flat]
-    heights = [_dot(end - corners[:, 0], normal) for end in (start, start + d)]  # times the normal's length
+    # The heights above the triangle's plane are multiplied by the normal's length.
+    heights = [_dot(end - corners[:, 0], normal) for end in (start, start + d)]
     for height, end in zip(heights, (start, start + d), strict=True):
         over = _inside(corners, sides, normal, end - (height / square)[:, None] * normal)
         if over.any():
@@ -115,7 +120,9 @@ def _least(corners: Array, start: Array, d: Array) -> float:
 
 
 def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArray[np.bool_]:
-    """Return whether each place, which lies in the plane of its triangle, lies in the triangle."""
+    """Return for each place whether it lies in its triangle.
+
+    Each place lies in the plane of its triangle."""
     offset = places[:, None, :] - corners
     turned = np.einsum("nij,nj->ni", np.cross(sides, offset), normal)
     found: NDArray[np.bool_] = (turned >= 0).all(axis=1)
@@ -123,9 +130,9 @@ def _inside(corners: Array, sides: Array, normal: Array, places: Array) -> NDArr
 
 
 def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
-    """Return the squared distances of the segment start + s d from many segments first + t e.
+    """Return the squared distances of the segment start + s d from the segments first + t e.
 
-    See `koordgen.runtime.values.geometry`."""
+    The parameters s and t are between 0 and 1. The formulas are those of `koordgen.runtime.values.geometry`."""
     w = first - start
     n = np.cross(d, e)
     square = _dot(n, n)
@@ -145,7 +152,7 @@ def _segments(start: Array, d: Array, first: Array, e: Array) -> Array:
 
 
 def _beyond(x: Array, d: Array) -> Array:
-    """Return the squared distances of places x from the segment from the origin to d."""
+    """Return the squared distance of each place in `x` from the segment between the origin and `d`."""
     gap = x - _foot(x, d)[:, None] * d
     return _dot(gap, gap)
 

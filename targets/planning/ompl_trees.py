@@ -1,10 +1,10 @@
 """RRT-Connect and RRT* of OMPL: trees of straight edges in a box.
 
-OMPL samples and grows the trees. Our own exact test decides whether an edge is clear, so edges need no padding and are
-not checked in steps.
+OMPL samples and grows the trees. The exact test of `room.py` decides whether an edge is clear, so edges need no padding
+and are not checked in steps.
 
-Of OMPL's Python binding (version 2.0.1, where out-parameters stay empty), only these calls are used, and a test checks
-that they work: `RealVectorStateSpace`, `RealVectorBounds.setLow/setHigh`,
+In OMPL's Python binding 2.0.1, out-parameters stay empty. So only these calls are used, and a test checks that they
+work: `RealVectorStateSpace`, `RealVectorBounds.setLow/setHigh`,
 `setBounds`, `allocState`, states' `[i]`, `SpaceInformation` with `setStateValidityChecker`, `setMotionValidator` and
 `setup`, `MotionValidator` as a base class, `ProblemDefinition.setStartAndGoalStates/hasExactSolution/getSolutionPath`,
 `RRTConnect`, `RRTstar`, `setProblemDefinition`, `setup`, `solve`, `PlannerTerminationCondition` of a callable,
@@ -24,7 +24,7 @@ from targets.planning.room import Room
 
 
 class OmplTrees:
-    """Searches of OMPL in the box from `low` to `high`; if `flat`, in the plane at low.z."""
+    """Tree searches of OMPL in the box from `low` to `high`; if `flat`, in the plane z = low.z."""
 
     def __init__(self, low: Point, high: Point, flat: bool, seed: int | None) -> None:
         util.setLogLevel(util.LogLevel.LOG_NONE)
@@ -38,18 +38,20 @@ class OmplTrees:
         self._space.setBounds(bounds)
 
     def connect(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
-        """See rrt.Trees."""
+        """Return the corners of a path that RRT-Connect finds; None if the limit ends the search first."""
         return self._search(geometric.RRTConnect, here, start, goal, over, turn)
 
     def improve(self, here: Room, start: Point, goal: Point, over: Limit) -> list[Point] | None:
-        """Return the corners that RRT* finds; it improves its tree until the limit ends it."""
+        """Return the corners of a path that RRT* finds; None if it finds no path.
+
+        RRT* improves its tree until the limit ends the search."""
         return self._search(geometric.RRTstar, here, start, goal, over, 0)
 
     def _search(self, kind: Any, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
         if self._seed is not None:
             util.RNG.setSeed(self._seed * STARTS + turn + 1)
         information = base.SpaceInformation(self._space)
-        information.setStateValidityChecker(lambda state: True)  # an edge's ends are checked with the edge
+        information.setStateValidityChecker(lambda state: True)  # the check of an edge includes the ends of the edge
         validator = _Lines(information, here, self._point)
         information.setMotionValidator(validator)
         information.setup()
@@ -79,5 +81,5 @@ class _Lines(base.MotionValidator):  # type: ignore[misc]
         super().__init__(information)
         self._here, self._point = here, point
 
-    def checkMotion(self, a: Any, b: Any) -> bool:  # OMPL's name
+    def checkMotion(self, a: Any, b: Any) -> bool:  # the name that OMPL calls
         return self._here.clear(self._point(a), self._point(b))

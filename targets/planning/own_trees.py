@@ -1,4 +1,4 @@
-"""RRT-Connect without OMPL, for Pythons that OMPL has no wheel for (3.14 and later).
+"""RRT-Connect without OMPL, for versions of Python for which OMPL has no wheel (3.14 and later).
 
 Algorithm: J. Kuffner, S. LaValle, RRT-Connect: an efficient approach to single-query path planning, ICRA 2000.
 """
@@ -13,14 +13,15 @@ from koordgen.runtime.values.points import Point, distance
 from targets.planning.limit import STARTS, Limit
 from targets.planning.room import Room
 
-LONGEST = 0.2  # maximum length of a tree's edge, as a share of the arena's diagonal; the same as in OMPL
-NEEDS_OMPL = "the planner rrt-star needs OMPL, which has no wheel for this Python; take rrt-smoothed, or Python 3.13"
+LONGEST = 0.2  # maximum length of a tree's edge, as a share of the arena's diagonal; OMPL uses this share, too
+NEEDS_OMPL = "the planner rrt-star needs OMPL, which has no wheel for this Python; use rrt-smoothed, or Python 3.13"
 
 
 def is_needed() -> bool:
-    """Return whether OMPL has no wheel for this Python and was not built on this computer either.
+    """Return whether the planner must work without OMPL.
 
-    With Python 3.13 and earlier, return False: a missing OMPL is then a package to install."""
+    This is so if OMPL has no wheel for this Python (3.14 or later) and is not installed. With Python 3.13 and earlier,
+    the user can install OMPL."""
     return sys.version_info >= (3, 14) and importlib.util.find_spec("ompl") is None
 
 
@@ -32,9 +33,9 @@ class OwnTrees:
         self._longest = LONGEST * distance(low, high)
 
     def connect(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
-        """See rrt.Trees."""
+        """Return the corners of a path that RRT-Connect finds; None if the limit ends the search first."""
         dice = random.Random(None if self._seed is None else self._seed * STARTS + turn + 1)
-        one, other = [(start, -1)], [(goal, -1)]  # places, and the index of the place before
+        one, other = [(start, -1)], [(goal, -1)]  # nodes of the two trees: place, and index of the parent node or -1
         while not over():
             reached, _ = self._extended(one, self._anywhere(dice), here)
             if reached is not None:
@@ -54,9 +55,9 @@ class OwnTrees:
         return Point(dice.uniform(low.x, high.x), dice.uniform(low.y, high.y), z)
 
     def _extended(self, tree: list[tuple[Point, int]], to: Point, here: Room) -> tuple[int | None, bool]:
-        """Grow a tree towards a place by one edge.
+        """Grow a tree towards the place `to` by one edge.
 
-        Return the index of the new node, None if the edge is blocked; and whether the new node is the place."""
+        Return the index of the new node, or None if the edge is blocked; and whether the new node is at `to`."""
         near = min(range(len(tree)), key=lambda k: distance(tree[k][0], to))
         at = tree[near][0]
         away = distance(at, to)
@@ -69,7 +70,7 @@ class OwnTrees:
 
 
 def _back(tree: list[tuple[Point, int]], at: int) -> list[Point]:
-    """Return the places from a tree's node to its root."""
+    """Return the places from node number `at` of a tree to the tree's root."""
     found = []
     while at >= 0:
         place, at = tree[at]

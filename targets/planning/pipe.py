@@ -1,4 +1,7 @@
-"""Messages between an agent and its planner's process: MessagePack with a length prefix, through pipes."""
+"""Messages between an agent and its planner's process, sent through pipes.
+
+Each message is MessagePack with a length prefix.
+"""
 
 from __future__ import annotations
 
@@ -9,36 +12,42 @@ import msgspec
 from koordgen.runtime.values.points import Point
 from targets.planning.world import Path, Scene, World
 
-HEAD = 4  # bytes of the length prefix, big-endian
-LONGEST = 1 << 24  # maximum bytes of a message; a larger length is an error
+HEAD = 4  # bytes of a message's length prefix, big-endian
+LONGEST = 1 << 24  # maximum bytes of a message; a larger length prefix is an error
 
 
 class Order(msgspec.Struct, frozen=True, array_like=True):
-    """First message to the child process: the planner to create."""
+    """First message to the planner's process: it names the planner to create."""
 
     name: str  # name of a built-in planner, or "module:Class"
     world: World
-    judge: str  # "module:Class" that calls the planner and checks its paths, such as `targets.planning.ask:Asked`
+    judge: (
+        str  # "module:Class" that calls the planner and checks its paths, such as `targets.planning.ask:PlannerJudge`
+    )
 
 
 class Question(msgspec.Struct, frozen=True, array_like=True):
-    """Call of the planner. Its answer has the same number."""
+    """Call of the planner, which asks for a path from `start` to `goal` within `seconds`.
+
+    The answer has the `number` of the question."""
 
     number: int
     start: Point
     goal: Point
     scene: Scene
     seconds: float
-    more: bytes = b""  # further data for a target's own judge
+    more: bytes = b""  # further data for the judge of a target
 
 
 class Answer(msgspec.Struct, frozen=True, array_like=True):
-    """Answer to a question, or to the order (number 0; an empty reason means that the planner was created)."""
+    """Answer of the planner's process to a Question with this number, or to the Order (number 0).
+
+    An empty `reason` in an answer to the Order means that the planner was created."""
 
     number: int
     path: Path
     reason: str
-    more: bytes = b""  # further data from a target's own judge
+    more: bytes = b""  # further data from the judge of a target
 
 
 def framed(message: Order | Question | Answer) -> bytes:
@@ -47,18 +56,20 @@ def framed(message: Order | Question | Answer) -> bytes:
 
 
 class Unframed:
-    """Splitter of a byte stream into messages. Raises ValueError for an impossible length."""
+    """Splitter of a byte stream into messages."""
 
     def __init__(self) -> None:
         self._waiting = bytearray()
 
-    def take(self, data: bytes) -> Iterator[bytes]:
-        """Yield the messages that these bytes complete."""
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Add received bytes, and yield the messages that are now complete.
+
+        Raises ValueError if a length prefix is above LONGEST."""
         self._waiting += data
         while len(self._waiting) >= HEAD:
             end = HEAD + int.from_bytes(self._waiting[:HEAD], "big")
             if end > HEAD + LONGEST:
-                raise ValueError(f"a message of {end - HEAD} bytes")
+                raise ValueError(f"a message of {end - HEAD} bytes is too long")
             if len(self._waiting) < end:
                 return
             message = bytes(self._waiting[HEAD:end])

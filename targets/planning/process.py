@@ -1,4 +1,7 @@
-"""Planner interface for platforms, and its two implementations: in a child process, or in the agent's own process."""
+"""Planner interface for platforms, with two implementations.
+
+`Beside` runs the planner in a child process, `Inside` in the agent's own process.
+"""
 
 from __future__ import annotations
 
@@ -22,44 +25,50 @@ from targets.planning.ask import BadPlanner, Judge, judging
 from targets.planning.pipe import Answer, Order, Question, Unframed, framed
 from targets.planning.world import Path, Scene, World
 
-JUDGE = "targets.planning.ask:Asked"  # default judge; a target may have its own
-SHARE = 0.7  # share of the time budget that the planner gets; the rest is for pipes and for the check of its path
+JUDGE = "targets.planning.ask:PlannerJudge"  # default class that calls a planner and checks its paths
+SHARE = 0.7  # share of the time budget that the planner gets; the rest is for pipes and for the check of the path
 PATIENCE = 1.0  # seconds without an answer after which a planner's process is killed and restarted
-STARTING = 30.0  # seconds within which a planner must be created; a slow board needs some seconds to load its packages
-PAUSE = 1.0  # minimum seconds between two starts of a process
+STARTING = 30.0  # seconds within which a planner must be created; a slow computer needs some seconds to load packages
+PAUSE = 1.0  # minimum seconds between two starts of the planner's process
 
 
 class Planning(Protocol):
-    """Interface of a planner to a platform: `start`, then `poll` often; `plan` or `ask` once `ready`; `close`."""
+    """Interface of a planner to a platform.
+
+    The platform calls `start`, then `poll` often, then `plan` or `ask` once `ready` is set, and finally `close`."""
 
     ready: bool
 
     @property
     def waiting(self) -> bool:
-        """Return whether a request is pending."""
+        """Return whether a question to the planner has no answer yet."""
         ...
 
     def start(self) -> None: ...
 
     def poll(self) -> None:
-        """Process answers without blocking. Raises Unready if the planner could not be created at the start."""
+        """Process the planner's answers without blocking.
+
+        Raises Unready if the planner could not be created at the start."""
         ...
 
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
-        """Return the path, or () if there is none or the planner is late or gone (see `news`)."""
+        """Return the planned path. Return () if there is no path, or the planner is late or not running.
+
+        `log_lines` gives the reason."""
         ...
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
-        """Send a question without waiting for the answer. Return False if that is not possible now.
+        """Send a question without waiting for the answer. Return False if the planner is busy or not running.
 
         An answer to an earlier question is dropped."""
         ...
 
     def answer(self) -> Answer | None:
-        """Return the last answer to `ask` or `plan`, once; None if there is no new one."""
+        """Return the last answer to `ask` or `plan`, once; None if there is no new answer."""
         ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return problems since the last call, for the log."""
         ...
 
@@ -74,23 +83,23 @@ def made(planning: Planning, sleep: Callable[[float], None]) -> None:
         if planning.ready:
             return
         sleep(0.05)
-    raise Unready(f"the planner was not made within {STARTING:.0f} s")
+    raise Unready(f"the planner was not ready within {STARTING:.0f} s")
 
 
-class News:
-    """Log lines of a planner. The same reason for a failed call is logged once, until another call succeeds.
+class PlannerLog:
+    """Log lines of a planner. A reason for failed calls is logged once, until another call succeeds.
 
-    Reasons that differ only in their numbers count as the same."""
+    Reasons that differ only in their numbers count as one reason."""
 
     def __init__(self) -> None:
         self._lines: list[str] = []
         self._known: set[str] = set()
 
-    def tell(self, line: str) -> None:
+    def add(self, line: str) -> None:
         self._lines.append(line)
 
     def called(self, reason: str) -> None:
-        """Record the result of a call: the reason of its failure, or "" if it succeeded."""
+        """Record a call of the planner. `reason`: why the call failed; "" if it succeeded."""
         kind = re.sub(r"[-\d.]+", "", reason)
         if not reason:
             self._known.clear()
@@ -98,19 +107,21 @@ class News:
             self._known.add(kind)
             self._lines.append(f"no path: {reason}")
 
-    def take(self) -> list[str]:
+    def drain(self) -> list[str]:
         told, self._lines = self._lines, []
         return told
 
 
 class Inside:
-    """Planner in the agent's own process, for tests, and for simulators that control time (with `iterations`)."""
+    """Planner in the agent's own process, for tests and for simulators that control time.
+
+    Such a simulator limits the planner's work by iterations."""
 
     def __init__(self, name: str, world: World, budget: float, judge: str = JUDGE) -> None:
         self._name, self._world, self._budget, self._judge = name, world, budget, judge
         self._asked: Judge | None = None
         self._answer: Answer | None = None
-        self._news = News()
+        self._log = PlannerLog()
         self.ready = self.waiting = False
 
     def start(self) -> None:
@@ -121,12 +132,12 @@ class Inside:
         self.ready = True
 
     def poll(self) -> None:
-        """Do nothing, since each call completes at once."""
+        """Do nothing, because each call of the planner completes at once."""
 
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
         if not self.ask(start, goal, scene, more, SHARE * self._budget) or self._answer is None:
             return ()
-        self._news.called(self._answer.reason)
+        self._log.called(self._answer.reason)
         return self._answer.path
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
@@ -139,15 +150,17 @@ class Inside:
         told, self._answer = self._answer, None
         return told
 
-    def news(self) -> list[str]:
-        return self._news.take()
+    def log_lines(self) -> list[str]:
+        return self._log.drain()
 
     def close(self) -> None:
         self.ready = False
 
 
 def bounded(inside: Surroundings, name: str, world: World, budget: float, judge: str = JUDGE) -> Inside:
-    """Return a deterministic planner: seeded, and limited by iterations instead of time."""
+    """Return a deterministic planner for a simulator.
+
+    The planner has a seed, and a limit of iterations instead of time."""
     world = msgspec.structs.replace(world, seed=inside.seed, iterations=inside.iterations)
     return Inside(name, world, budget, judge)
 
@@ -156,7 +169,7 @@ class Beside:
     """Planner in a child process.
 
     A call waits for `budget` seconds at most; a later answer is dropped. The child is restarted if it has died, or has
-    not answered for PATIENCE seconds. `folders`: where the child finds modules."""
+    not answered for PATIENCE seconds. `folders`: folders in which the child searches for modules."""
 
     def __init__(
         self,
@@ -174,12 +187,12 @@ class Beside:
         self._incoming = Unframed()
         self._outgoing = b""  # bytes that are not yet written to the child
         self._into = self._from = -1  # descriptors of the child's standard input and output
-        self._begun = 0.0  # start of the present child
+        self._begun = 0.0  # time at which the present child was started
         self._made = False  # whether a planner was created once; if so, a child that dies is replaced
         self._number = 0
-        self._asked_at: float | None = None  # time of the pending question
+        self._asked_at: float | None = None  # time at which the pending question was sent; None if there is none
         self._answer: Answer | None = None
-        self._news = News()
+        self._log = PlannerLog()
         self.ready = False
 
     @property
@@ -189,16 +202,16 @@ class Beside:
 
     @property
     def waiting(self) -> bool:
-        """See Planning."""
+        """Return whether a question to the child has no answer yet."""
         return self._asked_at is not None
 
     def start(self) -> None:
-        """Start the child process; it is ready once it has loaded its packages."""
+        """Start the child process, which is ready once it has loaded its packages and created the planner."""
         child = FilePath(__file__).with_name("child.py")
         command = [sys.executable, "-B", str(child), *map(str, self._folders)]
         self._begun = self._clock()
         try:
-            # Its own session, so that Ctrl-C in the agent's terminal reaches the agent only.
+            # The child gets its own session, so that Ctrl-C in the agent's terminal reaches the agent only.
             self._child = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
             )
@@ -214,7 +227,7 @@ class Beside:
         self._send()
 
     def poll(self) -> None:
-        """See Planning."""
+        """Process the child's answers, end a child that hangs, and replace a child that has ended."""
         self._killed = [child for child in self._killed if child.poll() is None]
         if self._child is None:
             if self._made and self._clock() - self._begun > PAUSE:
@@ -226,26 +239,26 @@ class Beside:
         if self._asked_at is not None and now - self._asked_at > PATIENCE:
             self._lose(f"has not answered for {PATIENCE:g} s")
         elif self.pid and not self.ready and now - self._begun > STARTING:
-            self._lose(f"was not made within {STARTING:.0f} s")
+            self._lose(f"was not ready within {STARTING:.0f} s")
 
     def plan(self, start: Point, goal: Point, scene: Scene, more: bytes = b"") -> Path:
-        """See Planning."""
+        """Ask the child for a path, and wait for it `budget` seconds at most; () if there is no path."""
         deadline = self._clock() + self._budget
         try:
             if not self.ask(start, goal, scene, more, SHARE * self._budget):
-                self._news.called("the planner is " + ("still at the last question" if self.ready else "not there"))
+                self._log.called("the planner is " + ("still at the last question" if self.ready else "not running"))
                 return ()
             while self._unanswered() and (left := deadline - self._clock()) > 0:
                 select.select([self._from], [self._into] if self._outgoing else [], [], left)
                 self._send()
                 self._receive()
-        except BaseException:  # an event whose time is up is interrupted anywhere, perhaps after half a message
+        except BaseException:  # an event that is out of time is interrupted at any place, perhaps within a message
             self._lose("was interrupted in a call")
             raise
         return self._judged(self._answer, start, goal)
 
     def ask(self, start: Point, goal: Point, scene: Scene, more: bytes, seconds: float) -> bool:
-        """See Planning."""
+        """Send a question to the child. Return False if the child is busy or not ready."""
         self.poll()
         if not self.ready or self.waiting:
             return False
@@ -256,28 +269,28 @@ class Beside:
         return True
 
     def answer(self) -> Answer | None:
-        """See Planning."""
+        """Return the child's last answer, once; None if there is no new answer."""
         told, self._answer = self._answer, None
         return told
 
     def _judged(self, answer: Answer | None, start: Point, goal: Point) -> Path:
         if answer is None:
             if self._child is not None:
-                self._news.called(f"the planner did not answer within {self._budget * 1e3:.0f} ms")
+                self._log.called(f"the planner did not answer within {self._budget * 1e3:.0f} ms")
             return ()
         path = answer.path
         if path and not (transmissible(path) and len(path) > 1 and path[0] == start and path[-1] == goal):
-            self._news.called("the planner answered with what is no path from here to the goal")
+            self._log.called("the planner's answer is no path from the start to the goal")
             return ()
-        self._news.called(answer.reason)
+        self._log.called(answer.reason)
         return path
 
-    def news(self) -> list[str]:
-        """See Planning."""
-        return self._news.take()
+    def log_lines(self) -> list[str]:
+        """Return log lines on failed calls and on lost children since the last call."""
+        return self._log.drain()
 
     def close(self) -> None:
-        """End the child. Idempotent."""
+        """End the child process. Idempotent."""
         self._end()
         for child in self._killed:
             with suppress(subprocess.TimeoutExpired):
@@ -308,12 +321,12 @@ class Beside:
                 self._lose("ended by itself")
                 return
             try:
-                for message in self._incoming.take(data):
-                    self._take(msgspec.msgpack.decode(message, type=Answer))
-            except (ValueError, RecursionError):  # msgspec's errors are ValueErrors
-                self._lose("answered with what is no message")
+                for message in self._incoming.feed(data):
+                    self._accept(msgspec.msgpack.decode(message, type=Answer))
+            except (ValueError, RecursionError):  # errors of msgspec are ValueErrors, too
+                self._lose("answered with a malformed message")
 
-    def _take(self, answer: Answer) -> None:
+    def _accept(self, answer: Answer) -> None:
         if answer.number == 0 and not self.ready:
             if answer.reason:
                 self._lose(answer.reason)
@@ -323,11 +336,13 @@ class Beside:
             self._answer, self._asked_at = answer, None
 
     def _lose(self, why: str) -> None:
-        """End a failed child, which is replaced later. Raises Unready if no planner was ever created."""
+        """End a failed child process, which `poll` replaces later.
+
+        Raises Unready if no planner was ever created."""
         self._end()
         if not self._made:
             raise Unready(why if "planner" in why else f"the planner {self._order.name} {why}")
-        self._news.tell(f"the planner {why}; it is begun anew")
+        self._log.add(f"the planner {why}; it is started again")
 
     def _end(self) -> None:
         self.ready, self._asked_at, self._outgoing = False, None, b""
@@ -340,4 +355,4 @@ class Beside:
             if end is not None:
                 with suppress(OSError):
                     end.close()
-        self._killed.append(child)  # not waited for here: that would block the agent for some milliseconds
+        self._killed.append(child)  # `poll` later waits for the child's end, so that the agent does not block

@@ -1,11 +1,12 @@
-"""Free space of one planning question: its obstacles, each with the distance to keep from it.
+"""Free space of one planning question: obstacles, and the distance to keep from each obstacle.
 
-If the start is nearer to an obstacle than that distance, the distance is lowered to LEAVING times the start's, so that
-a robot can leave a tight place. It is not lowered below a least distance, if the start has that. Otherwise paths that
-are planned again and again, from ever nearer places, could come arbitrarily near.
+If the start of a path is nearer to an obstacle, the distance to keep is lowered to LEAVING times the start's distance,
+so that a robot can leave a tight place. If the start is not nearer than a least distance, paths must keep this least
+distance. Otherwise paths that are planned again and again, from ever nearer places, could come arbitrarily near to an
+obstacle.
 
 The test whether a straight line is clear is exact (`exact.py`, `mesh.py`). Only obstacles whose bounding box is near
-the line's are measured.
+the bounding box of the line are measured.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from targets.planning.exact import Solid, solid_distance
 from targets.planning.mesh import Surface
 from targets.planning.world import Path, Scene, World
 
-LEAVING = 0.95  # share of the start's distance from an obstacle that is too near, which is kept while leaving
-HIGH = 1e5  # metres to which infinitely high obstacles reach up and down
-MANY = 48  # number of obstacles above which numpy finds the near ones faster than a loop
+LEAVING = 0.95  # a path that starts too near to an obstacle must keep this share of the start's distance
+HIGH = 1e5  # metres; infinitely high obstacles reach from -HIGH to HIGH
+MANY = 48  # number of obstacles above which numpy finds the obstacles near a line faster than a loop
 
 Measure = Callable[[Point, Point, float], float]
 Bounds = tuple[float, float, float, float, float, float]  # west, south, bottom, east, north, top
@@ -38,8 +39,8 @@ Bounds = tuple[float, float, float, float, float, float]  # west, south, bottom,
 class Thing:
     """Obstacle with its bounding box.
 
-    `distance(a, b, within)` is the exact distance of the segment ab, or any value above `within` if that is more than
-    `within`. `name` is for messages."""
+    `distance(a, b, within)`: exact distance (m) of the segment ab from the obstacle. If the distance is more than
+    `within`, it may return any value above `within`. `name`: the obstacle's name in messages."""
 
     low: Point
     high: Point
@@ -65,10 +66,10 @@ class Room:
         self.lowered: dict[str, float] = {}
 
     def keep(self, things: Iterable[Thing], kept: float, least: float = 0.0) -> None:
-        """Add obstacles from which to keep the distance `kept` (m).
+        """Add obstacles from which paths must keep the distance `kept` (m).
 
-        If the start is nearer to one, keep LEAVING times the start's distance, but no less than `least` if the start
-        has that."""
+        If the start is nearer to an obstacle, paths must keep LEAVING times the start's distance from this obstacle,
+        but no less than `least` if the start's distance is at least `least`."""
         at = self._start
         for thing in things:
             bounds, margin = thing.grown(kept), kept
@@ -83,7 +84,7 @@ class Room:
             self._add(thing, bounds, margin)
 
     def keep_all(self, things: Iterable[Thing], kept: Callable[[str], float]) -> None:
-        """Keep the distance `kept(name)` to each thing, even if the start is nearer to it."""
+        """Add obstacles from which paths must keep the distance `kept(name)` (m), even if the start is nearer."""
         for thing in things:
             margin = kept(thing.name)
             self._add(thing, thing.grown(margin), margin)
@@ -98,7 +99,9 @@ class Room:
         return all(thing.distance(a, b, kept) >= kept for kept, thing in self._near(a, b))
 
     def nearest(self, a: Point, b: Point) -> tuple[float, str]:
-        """Return distance and name of the nearest obstacle that the line is too near to; (inf, "") if it is clear."""
+        """Return distance (m) and name of the nearest obstacle that is too near to the line from a to b.
+
+        Return (inf, "") if the line is clear."""
         found = ((thing.distance(a, b, kept), kept, thing.name) for kept, thing in self._near(a, b))
         return min(((d, name) for d, kept, name in found if d < kept), default=(math.inf, ""))
 
@@ -130,15 +133,16 @@ def _overlap(bounds: Bounds, west: float, east: float, south: float, north: floa
 
 
 def fixed(obstacles: Iterable[Obstacle]) -> list[Thing]:
-    """Return the fleet file's obstacles, named by their number in it."""
+    """Return the obstacles of the fleet file, each named by its index in the file: `obstacle 0`."""
     return [_thing(obstacle, f"obstacle {number}") for number, obstacle in enumerate(obstacles)]
 
 
 def room(world: World, standing: Iterable[Thing], scene: Scene, start: Point) -> Room:
-    """Return the room of a path from `start`. `standing`: the world's obstacles, made by `fixed`."""
+    """Return the free space of a path from `start`. `standing`: the world's obstacles, made by `fixed`."""
     found = Room(start)
     found.keep(standing, world.kept, world.least)
-    # A program's obstacle that contains the start does not count: it is an error, or the robot itself.
+    # If an obstacle that the program passes contains the start, `inside` does not name this obstacle. Such an obstacle
+    # is an error, or the robot itself.
     stuck = found.inside
     found.keep(_columns(scene, world.kept, start), world.kept)
     for path in scene.others:
@@ -170,10 +174,10 @@ def _surface(surface: Surface, around: Block, a: Point, b: Point, within: float)
 
 
 def _columns(scene: Scene, kept: float, start: Point) -> Iterator[Thing]:
-    """Yield a scene's grids and points as infinitely high obstacles.
+    """Yield the grids and points of a scene as infinitely high obstacles.
 
-    Touching cells are joined to one obstacle. Cells near the start stay single, because the lowered distance of an
-    obstacle near the start must apply to these cells only, and not to a whole wall."""
+    Touching cells of the grids are joined to one obstacle. Cells near the start stay single, because the lowered
+    distance near the start must apply to these cells only, and not to a whole wall."""
     cells: dict[float, set[tuple[int, int]]] = {}
     for grid in scene.grids:
         x, y, size = grid.x, grid.y, grid.size
@@ -191,14 +195,14 @@ def _columns(scene: Scene, kept: float, start: Point) -> Iterator[Thing]:
 
 
 def _column(west: float, south: float, east: float, north: float) -> Thing:
-    return _thing(Block(Point(west, south, -HIGH), Point(east, north, HIGH)), "what the program named")
+    return _thing(Block(Point(west, south, -HIGH), Point(east, north, HIGH)), "an obstacle of the program")
 
 
 def rectangles(cells: set[tuple[int, int]]) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the cells as rectangles (first x, first y, last x + 1, last y + 1).
+    """Yield rectangles that cover the cells: (first x, first y, last x + 1, last y + 1).
 
-    They are runs of cells along a row, joined with equal runs of the row before."""
-    grown: dict[tuple[int, int], int] = {}  # run (first x, last x + 1) in the row before -> first y of its rectangle
+    Each rectangle consists of equal runs of cells in successive rows."""
+    grown: dict[tuple[int, int], int] = {}  # run (first x, last x + 1) in the last row -> first y of its rectangle
     last = 0
     rows: dict[int, list[int]] = {}
     for x, y in cells:
@@ -214,7 +218,7 @@ def rectangles(cells: set[tuple[int, int]]) -> Iterator[tuple[int, int, int, int
 
 
 def _capsules(path: Path) -> Iterator[Thing]:
-    """Yield the segments of another robot's path as obstacles."""
+    """Yield the segments of another robot's path as obstacles of radius 0."""
     for p, q in pairwise(path if len(path) != 1 else path * 2):
         low = Point(min(p.x, q.x), min(p.y, q.y), min(p.z, q.z))
         high = Point(max(p.x, q.x), max(p.y, q.y), max(p.z, q.z))
@@ -227,6 +231,6 @@ def _apart(p: Point, q: Point, a: Point, b: Point, within: float) -> float:
 
 @runtime_checkable
 class InRoom(Protocol):
-    """Planner that accepts a prepared Room instead of a Scene."""
+    """Interface of a planner that accepts a prepared Room instead of a Scene."""
 
     def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path: ...

@@ -1,6 +1,6 @@
 """Built-in planners: RRT-Connect, RRT-Connect with shortened paths, RRT*, and the straight line.
 
-The trees are OMPL's (ompl_trees.py). Where OMPL has no wheel, they are our own (own_trees.py), without RRT*.
+OMPL grows the trees (ompl_trees.py). If OMPL has no wheel for this Python, own_trees.py grows them, without RRT*.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from targets.planning.limit import Limit
 from targets.planning.room import Room, fixed, room
 from targets.planning.world import Path, Planner, Scene, World
 
-TRIES = 8  # random short cuts that are tried per point of a path before another path is searched for
-ENOUGH = 1.002  # ratio of a path's length to the straight line's, up to which no shorter path is searched for
-FLAT = 1e-6  # metres; an arena of less height is planned as a plane
+TRIES = 8  # number of random short cuts that are tried for each point of a path, before another path is searched for
+ENOUGH = 1.002  # no shorter path is searched for if the path's length is at most this times the straight line's
+FLAT = 1e-6  # metres; paths in an arena of less height are planned in a plane
 
 
 class Trees(Protocol):
-    """Interface of a tree search between two places of the arena."""
+    """Interface of a tree search for a path between two places of the arena."""
 
     def connect(self, here: Room, start: Point, goal: Point, over: Limit, turn: int) -> list[Point] | None:
-        """Return the corners between start and goal that RRT-Connect finds; None if there is no path.
+        """Return the corners of a path that RRT-Connect finds; None if it finds no path.
 
         `turn`: number of the search within a question; each search has its own random numbers."""
         ...
 
 
 class Rrt:
-    """Planner that returns RRT-Connect's first path."""
+    """Planner that returns the first path that RRT-Connect finds."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -51,11 +51,11 @@ class Rrt:
             self._trees = OmplTrees(self._low, self._high, self._flat, world.seed)
 
     def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Path:
-        """See Planner."""
+        """Return a path from `start` to `goal` for a Scene; () if none is found within `seconds`."""
         return self.plan_in(room(self._world, self._standing, scene, start), start, goal, seconds)
 
     def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path:
-        """See InRoom."""
+        """Return a path from `start` to `goal` through a prepared Room; () if none is found in time."""
         if here.clear(start, goal):
             return start, goal
         return self._planned(here, start, goal, Limit(seconds, self._world.iterations))
@@ -68,10 +68,12 @@ class Rrt:
         return self._whole(found, here, start, goal)
 
     def _whole(self, between: list[Point] | None, here: Room, start: Point, goal: Point) -> Path:
-        """Return the corners with start and goal added; () if there are none, or if the path is not clear.
+        """Return the path with start and goal added to its corners; () if no corners were found.
 
-        Position noise can put the start outside of the arena. The path then enters the arena at the nearest place, if
-        the direct line to the first corner is not clear."""
+        Return () also if the path is not clear.
+
+        Position noise can put the start outside the arena. If the direct line to the first corner is then not clear,
+        the path enters the arena at the place nearest to the start."""
         if between is None:
             return ()
         path = (start, *between, goal)
@@ -85,13 +87,15 @@ class Rrt:
         return low.x <= p.x <= high.x and low.y <= p.y <= high.y and low.z <= p.z <= high.z
 
     def _held(self, p: Point) -> Point:
-        """Return the place in the arena that is nearest to a place."""
+        """Return the place in the arena that is nearest to `p`."""
         low, high = self._low, self._high
         return Point(*(max(a, min(b, v)) for a, b, v in zip(_parts(low), _parts(high), _parts(p), strict=True)))
 
 
 class RrtSmoothed(Rrt):
-    """Planner that shortens RRT-Connect's paths by random short cuts, and returns the shortest found in the time."""
+    """Planner that shortens the paths of RRT-Connect by random short cuts.
+
+    It searches for paths until its time is over, and returns the shortest path."""
 
     def _planned(self, here: Room, start: Point, goal: Point, over: Limit) -> Path:
         dice = random.Random(self._world.seed)
@@ -110,7 +114,7 @@ class RrtSmoothed(Rrt):
 
 
 class RrtStar(Rrt):
-    """Planner with RRT*, which improves its tree as long as there is time. It needs OMPL."""
+    """Planner with RRT*, which improves its tree until the time is over. RRT* needs OMPL."""
 
     def __init__(self, world: World) -> None:
         from targets.planning.ompl_trees import OmplTrees
@@ -131,11 +135,11 @@ class Straight:
         self._standing = fixed(world.obstacles)
 
     def plan(self, start: Point, goal: Point, scene: Scene, seconds: float) -> Path:
-        """See Planner."""
+        """Return the straight line from `start` to `goal`; () if the line is not clear."""
         return self.plan_in(room(self._world, self._standing, scene, start), start, goal, seconds)
 
     def plan_in(self, here: Room, start: Point, goal: Point, seconds: float) -> Path:
-        """See InRoom."""
+        """Return the straight line through a prepared Room; () if the line is not clear."""
         return (start, goal) if here.clear(start, goal) else ()
 
 
@@ -154,8 +158,8 @@ def length(path: Path) -> float:
 def shortened(path: Path, here: Room, dice: random.Random, over: Limit, holds: Callable[[Point], bool]) -> Path:
     """Return the path shortened by clear short cuts, which remove corners or cut them off.
 
-    `holds`: whether a place is in the arena. The arena is convex, so short cuts stay in it. Only the start may be
-    outside; then no new corner is placed on the part of the path that is outside."""
+    `holds`: returns whether a place is in the arena. The arena is convex, so short cuts stay in the arena. The start
+    may be outside; no new corner is placed on the part of the path that is outside."""
     points = _reduced(list(path), here)
     for _ in range(TRIES * len(points)):
         if len(points) < 3 or over.late:

@@ -1,4 +1,4 @@
-"""Detection of missing progress: a vehicle that should move but stands, for example pressed against an obstacle."""
+"""Detection of a vehicle that should move but stands, for example pressed against an obstacle."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import math
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.platform import Unready
 
-# Seconds without motion after which a vehicle counts as standing still. It is longer than
-# `targets.quad.motion.motion.UNFOLLOWED`, so that an autopilot that ignores setpoints gets its own message first.
+# Seconds without motion after which a vehicle counts as standing still. The time is longer than
+# `targets.quad.motion.motion.UNFOLLOWED`, so that an autopilot that ignores setpoints is reported first.
 NO_PROGRESS = 8.0
 MOVED = 0.1  # m; a larger displacement counts as motion
-SAME_PLACE = 0.3  # m between two standstills that count as being at the same place
+SAME_PLACE = 0.3  # m; two standstills that are at most this distance apart count as being at the same place
 
 
 class Standstill:
-    """Standstill detector of one vehicle. `action`: the fleet file's `missed_action`, taken at a standstill.
+    """Standstill detector of one vehicle.
 
-    "rest": the vehicle makes its safe stop.
+    `action`: reaction to a standstill, the setting `missed_action` of the fleet file.
+    "stop": the vehicle makes its safe stop.
     "hold": the vehicle brakes, and another path is planned. At the second standstill at the same place, the vehicle
     holds until the next command; `holding` gives the reason."""
 
@@ -25,18 +26,18 @@ class Standstill:
         self._action = action
         self._moved: tuple[Point, float] | None = None  # place and time of the last motion or command
         self._last: Point | None = None  # place of the last standstill
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self.holding = ""
 
     def command(self) -> None:
-        """Begin anew: the vehicle has a new command."""
+        """Forget all standstills, because the vehicle has a new command."""
         self._moved = self._last = None
         self.holding = ""
 
     def look(self, position: Point, moves: bool, goal: str, now: float) -> bool:
-        """Return whether the vehicle must brake. Raises Unready if it must make its safe stop.
+        """Return whether the vehicle must brake. Raises Unready if the vehicle must make its safe stop.
 
-        `moves`: whether it is commanded to move. `goal`: its goal in words."""
+        `moves`: whether the vehicle is commanded to move. `goal`: the vehicle's goal in words."""
         if not moves or self._moved is None or distance(position, self._moved[0]) > MOVED:
             self._moved = position, now
             return False
@@ -46,37 +47,42 @@ class Standstill:
         self._last, self._moved = position, None
         place = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
         line = f"no progress for {NO_PROGRESS:g} s at {place} on the way to {goal}"
-        if self._action == "rest":
-            raise Unready(line, "see what blocks the vehicle; it stops because missed_action is rest")
+        if self._action == "stop":
+            raise Unready(line, "check what blocks the vehicle, which stops because missed_action is stop")
         if not again:
-            self._news.append(f"{line}: braking, and looking for another path")
+            self._log_lines.append(f"{line}: braking, and looking for another path")
         else:
             self.holding = f"{line}, twice: holding until the next command"
-            self._news.append(self.holding)
+            self._log_lines.append(self.holding)
         return True
 
-    def news(self) -> list[str]:
-        """Return what happened since the last call, for the log."""
-        said, self._news = self._news, []
+    def log_lines(self) -> list[str]:
+        """Return log lines on standstills since the last call."""
+        said, self._log_lines = self._log_lines, []
         return said
 
 
-# Failed calls of the program's planner. A robot that has nothing else to do stands because of them.
+# Failed calls of the program's planner. They are the reason for standing of a robot that has no other command.
 
-FORGOTTEN = 5.0  # seconds after which a failed call no longer counts as the reason for standing
-# Answers that are no stall: in a mixed fleet, each robot may ask for a path to every task, and leaves the tasks on the
-# ground or in the air to vehicles of the other kind.
+FORGOTTEN = 5.0  # seconds after which a failed call of the planner no longer counts as the reason for standing
+
+# Failed calls with these reasons are no stall. In a mixed fleet, each robot's program may ask for a path to every task.
+# A car leaves the tasks in the air to quads, and a quad leaves the tasks on the ground to cars.
 ANOTHERS = ("the goal is not on the ground", "the goal is not above the ground")
 
 
 class Unplanned:
-    """Record of the program's last call of the planner if that found no path. Times: s on the platform's clock."""
+    """Record of the program's last call of the planner, if this call found no path.
+
+    Times are in seconds on the platform's clock."""
 
     def __init__(self) -> None:
         self._why, self._at = "", -math.inf
 
     def called(self, goal: Point, reason: str, now: float) -> None:
-        """Record a call of the planner for a path to `goal`; `reason` is empty if it found one."""
+        """Record a call of the planner for a path to `goal`.
+
+        `reason`: why the planner found no path; "" if it found a path."""
         found = not reason or reason in ANOTHERS
         self._why, self._at = "" if found else f"the planner's goal {_placed(goal)} {reason}", now
 
@@ -85,7 +91,7 @@ class Unplanned:
         self._why = ""
 
     def why(self, now: float) -> str:
-        """Return the reason why the robot has no path; "" if it has one, or no longer asks for one."""
+        """Return the reason why the robot has no path; "" if it has a path, or no longer asks for a path."""
         return self._why if now - self._at <= FORGOTTEN else ""
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from targets.sim.judging.watch import Watcher
     from targets.sim.judging.windows import Windows
     from targets.sim.run.progress import Progress
-    from targets.sim.run.run import Outcome, Run
+    from targets.sim.run.run import Run, RunResult
     from targets.sim.view.foxglove.stream import Streamed
     from targets.sim.view.web.control import ManualFaults
     from targets.sim.view.web.live import Live, PaceLimit
@@ -271,19 +271,19 @@ def _run(
     run.companions += [each for each in (*views, load) if each]
     began = time.perf_counter()
     try:
-        outcome = run.execute()
+        result = run.execute()
     finally:
         progress.finish()
     if load is not None:
-        outcome.marks, outcome.host_waits = load.explained(outcome.marks, outcome.zero), load.totals
+        result.marks, result.host_waits = load.explained(result.marks, result.zero), load.totals
     merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
-    header = msgspec.structs.replace(header, started=outcome.started)
-    trace.merge(merged, header, outcome.zero, run.poses_file, agents, outcome.marks)
+    header = msgspec.structs.replace(header, started=result.started)
+    trace.merge(merged, header, result.zero, run.poses_file, agents, result.marks)
     run.poses_file.unlink()
-    found = summary.summarise(*trace.read(merged), outcome)
+    found = summary.summarise(*trace.read(merged), result)
     found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
     if windows is not None:
-        windows.write(folder, outcome.ended)
+        windows.write(folder, result.ended)
     if paced is not None and paced.waited:
         found.shares = {}  # shares of the time mean nothing if most of it was waiting
     found.reproduce = _reproduce(root, scenario, folder, options, given.count if given is not None else 0)
@@ -296,15 +296,15 @@ def _run(
         view.close(f"{summary.headline(found)}: {found.why}. The report: {left.resolve()}")
     _print(summary.as_text(found))
     _print(f"{'run' if options.no_report else 'report'}: {left}")
-    if guide is not None and outcome.ended != "interrupted":
-        return _followed(guide, outcome)
+    if guide is not None and result.ended != "interrupted":
+        return _followed(guide, result)
     if found.verdict == "host overloaded":
         return _fail(HOST, "the host was overloaded, so this run does not judge the program", summary.AGAIN)
-    return STATUS[found.verdict] if outcome.ended != "died" else VIOLATED
+    return STATUS[found.verdict] if result.ended != "died" else VIOLATED
 
 
-def _followed(guide: ReplayGuide, outcome: Outcome) -> int:
-    status, message = guide.result(outcome)
+def _followed(guide: ReplayGuide, result: RunResult) -> int:
+    status, message = guide.result(result)
     if status == INTERNAL:
         return _fail(
             status, message, "the agents' code disagrees with the program's semantics: please report it with the trace"

@@ -14,7 +14,7 @@ from koordgen.lang.ir.tree import child_fields
 from koordgen.lang.ir.types import INT, Sequence, TupleOf
 from koordgen.lang.node import Node, replace
 from koordgen.lang.semantics import builtins, eval, exec, numbers, values
-from koordgen.lang.semantics.eval import View
+from koordgen.lang.semantics.eval import StateView
 from koordgen.lang.semantics.values import Value, items
 from tests.agree.both import Generated, Pass, nothing, untouched
 from tests.agree.general import binary, when
@@ -141,7 +141,7 @@ def meaning(name: str, wrong: Callable[..., Any]) -> Callable[[pytest.MonkeyPatc
 def live_loops(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a loop see the changes that its block makes to the list."""
 
-    def elements(node: e.Expr, view: View) -> Iterator[Value]:
+    def elements(node: e.Expr, view: StateView) -> Iterator[Value]:
         if isinstance(node, e.Range) or not isinstance(node.type, Sequence):
             yield from eval.elements(node, view)
             return

@@ -51,7 +51,7 @@ def random_program(seed: int) -> d.Program:
         name="random",
         path="random.koord",
         records=tuple([d.Record(r, constants(rng, [field for _, field in r.fields]), AT) for r in records]),
-        extern_types=(d.ExternType(str(TICKET), AT),),
+        extern_types=(d.ExternTypeDef(str(TICKET), AT),),
         functions=(),
         externs=(),
         specs=(),

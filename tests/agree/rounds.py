@@ -24,7 +24,7 @@ from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.program.program import Frame
 from koordgen.runtime.program.runner import LOST_CONTENTION, name_of
 from koordgen.runtime.replication.apply import winner
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Sensed
 from tests.agree.both import Difference, Generated, Meant, answer, key
@@ -114,7 +114,7 @@ class _Both:
         return [self.fleet.robots[pid] for pid in range(N_SYS)]
 
     def failed(self) -> list[int]:
-        return [pid for pid, robot in enumerate(self.robots) if robot.agent.phase in ("resting", "rested")]
+        return [pid for pid, robot in enumerate(self.robots) if robot.agent.phase in ("stopping", "stopped")]
 
     def begin(self) -> State | None:
         """Return the state before round 1; None if an init fails, which must happen on both sides."""
@@ -127,7 +127,7 @@ class _Both:
         return None if wrong else state
 
     def round(self, state: State, number: int, seen: Counter[str], wins: Winner) -> State:
-        records: list[Record] = [robot.records[number - 1] for robot in self.robots]
+        records: list[RoundRecord] = [robot.records[number - 1] for robot in self.robots]
         self.same([r.round for r in records], [number] * N_SYS, "rounds")
         state = step.sense(state, [self.meant(r.sensors) for r in records])
         trying = self.trying(state)

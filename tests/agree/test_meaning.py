@@ -17,7 +17,7 @@ from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Sensed
-from koordgen.runtime.vehicle.safety import Guard, own_position
+from koordgen.runtime.vehicle.safety import SafetyGuard, own_position
 from tests.lang.semantics.programs import compiled
 from tests.sim.follow.test_follow import found
 from tests.verify.audit.test_followed import agrees
@@ -97,10 +97,10 @@ def test_robots() -> None:
 
 def test_geofence() -> None:
     sensed = Sensed({"Motion.position": Point(), TIP: Point(9, 0, 0)}, 1.0)
-    guard = Guard(Safety(outside_fence=0.0), Box(Point(-1, -1, -1), Point(1, 1, 1)), (TIP,))
+    guard = SafetyGuard(Safety(outside_fence=0.0), Box(Point(-1, -1, -1), Point(1, 1, 1)), (TIP,))
     assert own_position(sensed, (TIP,)) == Point(9, 0, 0)
     guard.judge(sensed, 1.0)
-    assert guard.judge(sensed, 1.1).action == "rest"
+    assert guard.judge(sensed, 1.1).action == "stop"
 
 
 def test_prover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

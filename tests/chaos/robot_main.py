@@ -26,7 +26,7 @@ class Still:
 
     period = 0.1
     ready = True
-    rested = True
+    stopped = True
     progress = "standing"
     stall = ""
 
@@ -50,12 +50,12 @@ class Still:
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None: ...
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def hold(self, on: bool, now: float) -> None: ...
 
-    def rest(self, now: float) -> None: ...
+    def stop(self, now: float) -> None: ...
 
     def close(self) -> None: ...
 

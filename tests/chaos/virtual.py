@@ -19,7 +19,7 @@ from typing import Any, ClassVar, TypeVar
 from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.program.program import Program
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.clock import SimulatedClock
 from koordgen.runtime.values.points import Point
 from tests.build.emit.generated import load
@@ -98,7 +98,7 @@ class Dying:
         self._send(sender, receiver, datagram)
 
 
-def _knew(record: Record) -> bool:
+def _knew(record: RoundRecord) -> bool:
     return not (record.skipped or "").startswith(NOT_CURRENT)
 
 

@@ -75,9 +75,9 @@ def test_each_robot_gets_its_own_pose() -> None:
     sent = forwarder(mocap=mocap).frame({"alice": body(1.0), "bert": body(2.0)}, 99.99, 100.0)
     for name, x in (("alice", 1.0), ("bert", 2.0)):
         feed = Feed(name, KEY)
-        assert feed.take(sent[name], 50.0) and feed.pose is not None and feed.time == pytest.approx(49.99)
+        assert feed.receive(sent[name], 50.0) and feed.pose is not None and feed.time == pytest.approx(49.99)
         assert (feed.pose.position.x, feed.pose.position.z, feed.pose.yaw) == (x, 1.0, 0.0)
-    assert not Feed("alice", KEY).take(sent["bert"], 50.0)
+    assert not Feed("alice", KEY).receive(sent["bert"], 50.0)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_not_more_often_than_asked_for_and_no_less(cameras: int, rate: float, ex
     for i in range(cameras * 4):
         now = 100.0 + i / cameras
         for datagram in passed.frame({"alice": body(i * 1e-3)}, now, now).values():
-            taken += feed.take(datagram, now)
+            taken += feed.receive(datagram, now)
     assert taken / 4 == pytest.approx(expected, rel=0.05)
 
 
@@ -98,7 +98,7 @@ def test_a_body_that_is_lost_or_has_no_pose_is_not_passed_on() -> None:
     assert "alice" in passed.frame({"alice": body(1.0)}, 1.0, 1.0)
     for now in (1.1, 1.2, 3.0):
         assert not passed.frame({"alice": body(1.0), "bert": body(float("nan"))}, now, now), "frozen, and occluded"
-    told = passed.told(3.0, 1.0)
+    told = passed.summary(3.0, 1.0)
     assert "alice NOT SEEN" in told and "bert NOT SEEN" in told
     assert "alice" in passed.frame({"alice": body(1.001)}, 3.1, 3.1)
 
@@ -107,8 +107,8 @@ def test_what_is_told() -> None:
     passed = forwarder()
     for i in range(50):
         passed.frame({"alice": body(i * 0.01, -1.0), "wand": body(0.0)}, i * 0.02, i * 0.02)
-    assert passed.told(1.0, 1.0) == "alice 50/s (0.49, -1.00, 0.00)  bert NOT SEEN  not in the fleet: wand"
-    assert "not in the fleet" not in passed.told(3.0, 1.0)
+    assert passed.summary(1.0, 1.0) == "alice 50/s (0.49, -1.00, 0.00)  bert NOT SEEN  not in the fleet: wand"
+    assert "not in the fleet" not in passed.summary(3.0, 1.0)
 
 
 def test_who_is_told_and_where(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_feed_that_is_no_address_and_a_fleet_that_takes_none(tmp_path: Path) -
     with pytest.raises(CannotServe, match="alice: feed 'serial:a' is not understood"):
         receivers(fleet, all_targets())
     own = "\n".join(line for line in FLEET.splitlines() if "alice" not in line and "bert" not in line)
-    with pytest.raises(CannotServe, match="no robot of this fleet takes"):
+    with pytest.raises(CannotServe, match="no robot of this fleet receives"):
         receivers(fleet_of(written(tmp_path, own)), all_targets())
 
 
@@ -195,7 +195,7 @@ def test_from_the_system_to_the_robot(tmp_path: Path, monkeypatch: pytest.Monkey
     robot.setblocking(False)
     while True:
         try:
-            taken += feed.take(robot.recv(2048), time.monotonic())
+            taken += feed.receive(robot.recv(2048), time.monotonic())
         except BlockingIOError:
             break
     assert 20 < taken <= 60 and feed.rejected == {}
@@ -207,7 +207,7 @@ def test_a_system_that_goes_ends_it(
     fake(monkeypatch, fails=True)
     assert main(["basestation", str(written(tmp_path)), "--system", "vicon", "--host", "h"]) == 5
     told = capsys.readouterr()
-    assert "the motion capture system is gone: connection lost" in told.err and told.out == ""
+    assert "the motion capture system failed: connection lost" in told.err and told.out == ""
 
 
 def test_without_the_package(
@@ -310,4 +310,4 @@ def test_a_folder_that_keeps_no_session_stops_no_base_station(tmp_path: Path) ->
 def test_samples_carry_the_application_id() -> None:
     passed = Forwarder(("alice",), Mocap(), KEY, 1, 50.0, 7)
     feed = Feed("alice", KEY, 7)
-    assert feed.take(passed.frame({"alice": body(1.0)}, 3.0, 3.0)["alice"], 10.0)
+    assert feed.receive(passed.frame({"alice": body(1.0)}, 3.0, 3.0)["alice"], 10.0)

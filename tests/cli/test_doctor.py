@@ -74,7 +74,7 @@ def overlay(bundle: Path, **body: Any) -> str:
 
 
 def told(capfd: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    return {f["name"]: f for f in json.loads(capfd.readouterr().out)["findings"]}
+    return {f["name"]: f for f in json.loads(capfd.readouterr().out)["checks"]}
 
 
 def test_a_robot_that_is_ready(bundle: Path, autopilot: Autopilot, capfd: pytest.CaptureFixture[str]) -> None:

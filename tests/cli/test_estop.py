@@ -132,7 +132,7 @@ def test_all_robots_come_to_rest_soon(
     for process, folder in zip(processes, bundles, strict=True):
         _, errors = process.communicate(timeout=5)
         assert process.returncode == 0, errors
-        ((_, why, when),) = [p for p in phases(folder) if p[0] == "resting"]
+        ((_, why, when),) = [p for p in phases(folder) if p[0] == "stopping"]
         assert why == "emergency stop"
         assert when - began < 0.2 + 0.2, "0.2 s, and as much for a busy machine"
 
@@ -142,7 +142,7 @@ def test_what_people_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Two robots answer, one does not."""
-    monkeypatch.setattr(estop, "PATIENCE", 0.6)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.6)
     for folder in bundles[:2]:
         start(folder, started)
     wait_for(bundles[:2], "joining")
@@ -150,10 +150,10 @@ def test_what_people_read(
     told = capsys.readouterr()
     lines = told.out.splitlines()
     assert lines[0].startswith("alice  is stopping: it lands or brakes, answered after ")
-    assert lines[2].startswith("cleo   NO ANSWER: no agent runs there (127.0.0.1:")
+    assert lines[2].startswith("cleo   NO ANSWER: no agent runs at this address (127.0.0.1:")
     assert told.err == (
         "error: 1 of 3 robots did not answer\n"
-        "  help: stop them by hand, now: remote control, kill switch, or cut their power\n"
+        "  help: stop these robots by hand now: by remote control, by kill switch, or by cutting their power\n"
     )
 
 
@@ -161,7 +161,7 @@ def test_another_key_stops_nobody(
     bundles: list[Path], fleet: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(estop, "PATIENCE", 0.3)
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.3)
     start(bundles[0], started)
     wait_for(bundles[:1], "joining")
     other = fleet.parent / "other.key"
@@ -169,7 +169,7 @@ def test_another_key_stops_nobody(
     other.chmod(0o600)
     assert main(["estop", str(fleet), "--key", str(other)]) == 5
     assert "3 of 3 robots did not answer" in capsys.readouterr().err
-    assert "resting" not in [p for p, _, _ in phases(bundles[0])]
+    assert "stopping" not in [p for p, _, _ in phases(bundles[0])]
     assert run(bundles[0], "--status", "--format", "json") == 0
     assert json.loads(capsys.readouterr().out)["rejected"]["order: not authentic"] > 5
 
@@ -182,7 +182,7 @@ def test_a_key_that_others_may_read_stops_all_the_same(
         start(folder, started)
     wait_for(bundles, "joining")
     assert main(["estop", str(fleet)]) == 0
-    assert "warning: " in (told := capsys.readouterr().err) and "others may read it" in told
+    assert "warning: " in (told := capsys.readouterr().err) and "other users may read it" in told
 
 
 @pytest.mark.parametrize(
@@ -190,8 +190,8 @@ def test_a_key_that_others_may_read_stops_all_the_same(
     [
         (None, "No such file"),
         ("robots: [", "not YAML"),
-        ("delta: 0.1\n", "it lists no robots"),
-        ("- 1\n", "it lists no robots"),
+        ("delta: 0.1\n", "the fleet file lists no robots"),
+        ("- 1\n", "the fleet file lists no robots"),
         ("robots: [{name: a, address: 'localhost:1'}]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]]\n", "fleet.key: No such file"),
         ("robots: [{name: a, address: 'localhost:1'}]\nkey: mine.key\n", "mine.key: No such file"),
@@ -206,7 +206,7 @@ def test_when_nobody_can_be_called(
         path.write_text(text)
     assert main(["estop", str(path)]) == 1
     told = capsys.readouterr().err
-    assert words in told and "no robot was called; stop them by hand" in told
+    assert words in told and "no robot was called; stop these robots by hand" in told
 
 
 def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> No
     ]
     assert (fleet.application, fleet.key) == (9, "")
     results = estop.stop_all(fleet.places[:2], 9, None, 0.1)
-    assert [r.note for r in results] == ["the fleet file has no address for it"] * 2
+    assert [r.note for r in results] == ["the fleet file has no address for the robot"] * 2
 
 
 ONE_LINE = """robots: [{name: al, target: quad, address: '10.0.0.1:47100'}, {address: 10.0.0.2:47101, name: bo}]
@@ -307,13 +307,13 @@ def test_a_host_that_nobody_knows_keeps_nobody_waiting(
     began = time.monotonic()
     results = estop.stop_all([estop.Place("slow", "slow.local", 9), there], 0, bytes(range(32)), 0.5)
     assert time.monotonic() - began < 1.0
-    assert [(r.phase, r.note) for r in results] == [("", "no answer"), ("resting", "")]
+    assert [(r.phase, r.note) for r in results] == [("", "no answer"), ("stopping", "")]
 
 
 def test_it_needs_no_package_beside_yaml_and_waits_for_no_compiler(fleet: Path, tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules.update(dict.fromkeys(['msgspec', 'numpy', 'jinja2']))\n"
-        "from koordgen.operate import estop; estop.PATIENCE = 0.05\n"
+        "from koordgen.operate import estop; estop.ANSWER_TIMEOUT = 0.05\n"
         "from koordgen.cli import main; sys.exit(main(['estop', sys.argv[1]]))"
     )
     cache = tmp_path / "cache"

@@ -161,7 +161,7 @@ def test_prove_decides_what_does_not_depend_on_an_event_that_is_too_large(tmp_pa
     (large,) = [each for each in found["Kept"]["obligations"] if each["name"] == "Kept-Go"]
     assert large["result"] == "unknown", "no solver was asked"
     assert "Kept-Go" in found["Kept"]["suggestion"]
-    assert "its formulas take more than 200,000 steps to write down" in found["Kept"]["suggestion"]
+    assert "the formulas take more than 200,000 steps to write down" in found["Kept"]["suggestion"]
     written = (tmp_path / "smt" / "Kept-Go.smt2").read_text()
     assert "(assert true)" in written  # whoever asks a solver about this file gets no proof from it
     assert "200,000 steps" in written

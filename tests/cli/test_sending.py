@@ -77,8 +77,8 @@ def test_what_no_robot_can_send(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_the_safety_of_the_fleet_file_reaches_the_robots(tmp_path: Path) -> None:
-    safety = "safety: {missed_rounds: 25, missed_action: rest, peer_timeout: 6, outside_fence: 1}\n"
+    safety = "safety: {missed_rounds: 25, missed_action: stop, peer_timeout: 6, outside_fence: 1}\n"
     assert built(tmp_path, LINEFORM.read_text(), safety) == 0
     for robot in ("alice", "bert"):
         found = load(tmp_path / "out/a" / robot / "settings.json")
-        assert found.safety == Safety(missed_rounds=25, missed_action="rest", peer_timeout=6, outside_fence=1.0)
+        assert found.safety == Safety(missed_rounds=25, missed_action="stop", peer_timeout=6, outside_fence=1.0)

@@ -17,7 +17,7 @@ import pytest
 from koordgen.fleet import manifest, robots
 from koordgen.lang.ir.types import GENERIC, NAMED
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.ops.findings import OWN
+from koordgen.runtime.ops.checks import OWN
 from koordgen.runtime.vehicle.platform import Platform
 from tests.programs import ROOT, build, settings_of
 
@@ -147,7 +147,7 @@ def test_check_of_a_built_bundle_says_what_is_missing(target: manifest.Target, t
     (tmp_path / f"targets/{target.name}/platform/platform.py").unlink()
     done = subprocess.run([sys.executable, str(tmp_path), "--doctor", "--format=json"], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
-    found = {f["name"]: f for f in json.loads(done.stdout)["findings"]}
+    found = {f["name"]: f for f in json.loads(done.stdout)["checks"]}
     assert found["files"]["found"] == f"targets/{target.name}/platform/platform.py is missing"
     assert f"No module named 'targets.{target.name}.platform.platform'" in found["import"]["found"]
 

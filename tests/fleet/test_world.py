@@ -11,7 +11,7 @@ import pytest
 from koordgen.fleet.file import Fleet
 from koordgen.fleet.obstacles import Obstacle
 from koordgen.fleet.world import Wall
-from koordgen.runtime.trace.schema import MarkerList, Wind, World
+from koordgen.runtime.trace.schema import MarkerList, Wind, WorldRecord
 from targets.sim.base.scenario import Lidar, Sim
 from tests.fleet.test_fleet import GOOD, read
 
@@ -34,7 +34,7 @@ def robots(*starts: str, target: str = "quad", head: str = HEAD) -> str:
 
 def test_a_fleet_needs_no_world() -> None:
     fleet = good(GOOD)
-    assert msgspec.convert(fleet.world.facts, World) == World()
+    assert msgspec.convert(fleet.world.facts, WorldRecord) == WorldRecord()
     assert fleet.obstacles == () and fleet.robots[0].harness == {}
 
 
@@ -46,7 +46,7 @@ def test_all_that_a_world_says_is_what_the_harness_reads() -> None:
   markers: [{name: dock, position: [1, 1, 0]}, {name: far, position: [5, 5, 1], radius: 0.5}]
   marker_list: {variable: tasks, position: target, radius: 0.2}
 """
-    world = msgspec.convert(good(text + GOOD).world.facts, World)
+    world = msgspec.convert(good(text + GOOD).world.facts, WorldRecord)
     assert world.arena is not None and world.arena.hi == (7.0, 8.0, 3.0)
     assert world.floor_friction == 0.5 and world.wind == Wind((1.0, 2.0, 0.0), 0.3, 2.0)
     assert [(m.name, m.radius) for m in world.markers] == [("dock", 0.3), ("far", 0.5)]

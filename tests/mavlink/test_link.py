@@ -150,7 +150,7 @@ def test_no_command_carries_what_is_not_finite(bad: float) -> None:
     wire.inject(heartbeat())
     link.receive(0.0)
     with pytest.raises(ValueError, match="not finite"):
-        link.tell(22, 0, 0, 0, 0, 0, 0, bad)
+        link.send_once(22, 0, 0, 0, 0, 0, 0, bad)
     assert wire.up == []
 
 

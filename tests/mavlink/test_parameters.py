@@ -80,7 +80,7 @@ def test_values_are_decoded_as_the_firmware_sends_them(
     for frame in reversed(frames) if late else frames:
         wire.inject(frame)
     for message in link.receive(1.0):
-        parameters.take(message)
+        parameters.handle(message)
     assert [r.found for r in parameters.readings] == [value] and parameters.done(1.0) and not parameters.differences
 
 
@@ -95,7 +95,7 @@ def test_both_names_are_tried_and_one_that_nobody_knows_ends() -> None:
             wire.inject(answer("SYSID_MYGCS", struct.pack("<f", 254.0), INT32))
         wire.inject(answer("OTHER", struct.pack("<f", 1.0), INT32))  # nobody wants to know
         for message in link.receive(now):
-            parameters.take(message)
+            parameters.handle(message)
     assert 3.0 < now < 5.0
     assert asked(wire)[:4] == ["MAV_GCS_SYSID", "NOSUCH", "SYSID_MYGCS", "NOSUCH"]
     assert [str(r) for r in parameters.differences] == [
@@ -116,9 +116,9 @@ def test_no_take_off_with_an_autopilot_that_would_not_land_when_the_agent_dies()
     rig.quad.start(rig.now)
     rig.run(12.0)
     assert rig.quad.progress == (
-        "not taking off: FS_GCS_ENABLE is 0, wanted 5: else the vehicle does not land when the agent dies (set it "
-        "by a ground station, or switch on a pilot's remote control; the robot's setting `allow_no_failsafe: true` "
-        "takes off all the same)"
+        "not taking off: FS_GCS_ENABLE is 0, wanted 5: else the vehicle does not land when the agent dies "
+        "(correct them with a ground station, or switch on a pilot's remote control; with the robot's setting "
+        "`allow_no_failsafe: true` the robot takes off without either)"
     )
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) and not sent(rig, SET)
     (found,) = (f for f in rig.agent().diagnose() if f.name == "FS_GCS_ENABLE")
@@ -151,7 +151,7 @@ def test_with_a_pilot_s_remote_control_it_takes_off_and_says_who_must_land_it() 
     assert requests  # it asks whether there is one
     rig.autopilot._send(mavlink.MAVLink_rc_channels_message(0, 16, *[1500] * 18, 255))
     assert rig.run(30.0, lambda: rig.quad.ready)
-    assert any("should the agent die, its pilot must land it" in said for said in rig.progress)
+    assert any("if the agent dies, its pilot must land the robot" in said for said in rig.progress)
 
 
 def test_what_does_not_forbid_a_take_off_is_told_once() -> None:
@@ -176,8 +176,8 @@ def test_what_differs_is_told_while_there_is_no_estimate_yet() -> None:
     rig.quad.start(rig.now)
     rig.run(3.0)
     assert rig.quad.progress == (
-        "waiting for its position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, wanted 0: else the "
-        "vehicle does not fly without a remote control"
+        "waiting for the autopilot's position estimate; parameters of the autopilot differ: FS_THR_ENABLE is 1, "
+        "wanted 0: else the vehicle does not fly without a remote control"
     )
     rig.autopilot.copter.params["FS_THR_ENABLE"] = 0.0
     assert rig.run(50.0, lambda: rig.quad.ready)

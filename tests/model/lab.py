@@ -18,12 +18,12 @@ from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.net.wire import Decided, Entry, Head, Message, RoundMessage, View
 from koordgen.runtime.program.program import Effects, Life, Variable
-from koordgen.runtime.program.runner import Outcome
+from koordgen.runtime.program.runner import EventResult
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.messages import HardState, Vote
 from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.bounds import Fixed
 from koordgen.runtime.vehicle.platform import Sensed
 
@@ -83,9 +83,9 @@ class Wire:
         self._flights = flights
         self.head = Head(0, TOKEN, TOKEN, pid, TOKEN, TOKEN, 0, 0, None, ())
         self.rejected: list[str] = []
-        self.speech = self
+        self.sender = self
 
-    def say(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
+    def send(self, to: Collection[int], kind: Callable[..., Message], *fields: Any) -> None:
         self._flights.extend(Flight(p, kind(self.head, *fields)) for p in to)
 
     def round(self, to: Collection[int], fields: Sequence[Any], received: object = None) -> None:
@@ -106,10 +106,10 @@ class Program:
     def frame(self, shared: Mapping[str, Any], *_: object) -> Any:
         return SimpleNamespace(shared=shared, sensors={})
 
-    def step(self, frame: Any, deadline: float) -> Outcome:
+    def step(self, frame: Any, deadline: float) -> EventResult:
         wish = self._wish()
         if not wish:
-            return Outcome()
+            return EventResult()
         number, wins, atomic = self.locals["events"] + 1, self.locals["wins"], wish == "atomic"
         shared = {"mine": number}
         if atomic:
@@ -117,7 +117,7 @@ class Program:
             shared |= {"wins": wins, "count": frame.shared["count"] + 1}
         actuators = {} if wish == "quiet" else {"out": number}
         effects = Effects({"events": number, "wins": wins}, shared, actuators, False)
-        return Outcome(wish, effects, lock=0 if atomic else -1)
+        return EventResult(wish, effects, lock=0 if atomic else -1)
 
 
 class Body:
@@ -258,7 +258,7 @@ class Fleet:
         for final in self.finals:
             self._counted(final)
 
-    def _final(self, pid: int, record: Record) -> None:
+    def _final(self, pid: int, record: RoundRecord) -> None:
         if record.effects is not None:
             final = Final(pid, cast(int, record.effects.locals["events"]), record.round)
             twice = [f for f in self.finals if (f.pid, f.number) == (pid, final.number) and f.round != record.round]

@@ -42,7 +42,7 @@ if "--status" in sys.argv:
             raise SystemExit(5)
     raise SystemExit(0)
 if "--doctor" in sys.argv:
-    print(json.dumps({"robot": settings["robot"], "findings": []}))
+    print(json.dumps({"robot": settings["robot"], "checks": []}))
     raise SystemExit(1)
 overlay = json.loads(pathlib.Path(sys.argv[sys.argv.index("--settings") + 1]).read_text())
 runs = pathlib.Path(overlay["state"]).parent / "runs.jsonl"

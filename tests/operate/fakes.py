@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.fleet.deployment import Login
-from koordgen.operate.hosts import Answer, Host, HostError, Session, Sessions
+from koordgen.operate.hosts import Answer, Host, HostError, Sessions, SshSession
 
 
 def host(*robots: str) -> Host:
     return Host(Login("pi", f"{robots[0]}.local", None), robots, "koordgen/fleet", "python3")
 
 
-class FakeSession(Session):
+class FakeSession(SshSession):
     """Answers each verb by the method of that name below; `calls` are the requests, `broken` verbs fail."""
 
     def __init__(self, *robots: str, confirmed: str | None = "a" * 16, pending: str | None = None) -> None:

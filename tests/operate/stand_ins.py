@@ -15,7 +15,7 @@ from koordgen.runtime.net.metrics import Metrics
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Effects
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 from tests.runtime.net.transports import free_ports
 
@@ -49,13 +49,13 @@ class StandIn:
         event = "Move" if number % 5 else None
         effects = Effects({}, {"at": place}, {}, False) if event else None
         why = None if event else "no event enabled"
-        self.recent.round(Record(number, now, 0.002, {}, None, event, effects, why))
+        self.recent.round(RoundRecord(number, now, 0.002, {}, None, event, effects, why))
         self.metrics.round(number, 0.002, event, why, True)
         self.metrics.heard([(peer, 1, 0.004) for peer in range(len(self.peers)) if peer != self.pid], now)
         fence = [[p.x, p.y, p.z] for p in (FENCE.lo, FENCE.hi)]
         return {
             "boot": f"{self.pid:016x}", "app": "show", "release": "a" * 32, "robot": self.name, "pid": self.pid,
-            "names": [peer.name for peer in self.peers], "phase": "resting" if self.stopped else "running",
+            "names": [peer.name for peer in self.peers], "phase": "stopping" if self.stopped else "running",
             "round": number, "delta": DELTA, "geofence": fence, "monitors": {"counts": {"held": 2}, "violated": []},
             "host": {"clock_ms": 0.31, "disk_gb": 21.5, "temperature": 48.0},
             "pose": {"position": [place.x, place.y, place.z], "yaw": now / 8 % math.tau, "age": 0.02},
@@ -65,7 +65,7 @@ class StandIn:
 
     def poll(self) -> None:
         if not self.deaf:
-            self.stopped = self.control.poll(time.monotonic(), "resting" if self.stopped else "running", self.report)
+            self.stopped = self.control.poll(time.monotonic(), "stopping" if self.stopped else "running", self.report)
 
 
 class StandIns:

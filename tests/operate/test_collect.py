@@ -8,7 +8,16 @@ from typing import Any
 
 import pytest
 
-from koordgen.operate.collect import AT_ONCE, MARKER, OVERLAP, CannotCollect, Collected, Folder, collect, collect_all
+from koordgen.operate.collect import (
+    AT_ONCE,
+    MARKER,
+    OVERLAP,
+    CannotCollect,
+    Collected,
+    CollectionFolder,
+    collect,
+    collect_all,
+)
 from koordgen.operate.hosts import HostError
 from tests.operate.fakes import FakeSession, reached, unreachable
 
@@ -32,7 +41,7 @@ def written(session: FakeSession, name: str, count: int, first: int = 0) -> byte
 
 
 def collected(session: FakeSession, folder: Path) -> Collected:
-    with Folder(folder) as into:
+    with CollectionFolder(folder) as into:
         return asyncio.run(collect(session, "alice", into, 10.0, lambda count: None))
 
 
@@ -146,7 +155,7 @@ def test_a_whole_fleet_is_collected_and_robots_that_are_missed_are_named(alice: 
     bert.ahead, bert.deployment["history"] = 100.0, ["b" * 16, "c" * 16]
     alice.broken.add("fetch")
     written(alice, "trace.jsonl", 1)
-    with Folder(tmp_path / "run") as into:
+    with CollectionFolder(tmp_path / "run") as into:
         sessions = reached(bert, alice, failed=(unreachable("dora"),))
         found = asyncio.run(collect_all(sessions, into, lambda count: None))
     assert {name: each.files for name, each in found.robots.items()} == {"bert": 1, "cleo": 2}
@@ -179,6 +188,6 @@ def test_a_folder_of_others_is_not_written_to(alice: FakeSession, tmp_path: Path
     (tmp_path / "run/thesis.tex").write_text("x")
     with pytest.raises(CannotCollect, match="did not write"):
         collected(alice, tmp_path / "run")
-    with Folder(tmp_path / "new"), pytest.raises(CannotCollect, match="another collection"):
+    with CollectionFolder(tmp_path / "new"), pytest.raises(CannotCollect, match="another collection"):
         collected(alice, tmp_path / "new")
     assert (tmp_path / "new" / MARKER).is_file()

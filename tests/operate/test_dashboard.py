@@ -23,7 +23,7 @@ import pytest
 from benchmarks.fixtures.fleet import KEY
 from koordgen.cli import main
 from koordgen.operate.dashboard import EVERY, WITHIN, Poller, built_facts
-from koordgen.operate.dashboard_access import Refused, access, read_token
+from koordgen.operate.dashboard_access import AccessRefused, access, read_token
 from koordgen.operate.estop import find_fleet
 from targets.sim.view.foxglove.stream import FoxgloveServer
 from targets.sim.view.web.dashboard import TICK, Dashboard, FleetServer, first_header
@@ -120,7 +120,7 @@ def test_the_page_shows_every_robot_and_stops_them_when_the_button_is_held(tmp_p
             assert [robot.stopped for robot in fleet.robots] == [True, True, False]
             assert "STOP IT BY HAND" in answers[0] and "robot00 is stopping" in answers[1]
             assert "1 of 3 robots did NOT answer" in browser.text("stopped")
-            browser.wait("fleet.robots.map((robot) => robot.phase)", lambda found: found[:2] == ["resting"] * 2)
+            browser.wait("fleet.robots.map((robot) => robot.phase)", lambda found: found[:2] == ["stopping"] * 2)
         browser.wait("$('summary').innerText", lambda text: "no connection to the dashboard" in text)
         assert not browser.complaints
 
@@ -129,7 +129,7 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
     assert EVERY + WITHIN + TICK < 1.0, "seconds from a report until the next one is shown, at most"
     with StandIns(tmp_path, 20) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
-        poller = Poller(found, KEY, lambda pid, asked: board.take(pid, asked.report, asked.note))
+        poller = Poller(found, KEY, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
         board = Dashboard(first_header([(place.name, "") for place in found.places], {}), lambda: poller.odd)
         client = board.hub.join()
         assert client is not None
@@ -153,7 +153,7 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
 def test_the_same_goes_to_foxglove(tmp_path: Path) -> None:
     with StandIns(tmp_path, 2) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
-        poller = Poller(found, KEY, lambda pid, asked: board.take(pid, asked.report, asked.note))
+        poller = Poller(found, KEY, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
         header = first_header([(place.name, "quad") for place in found.places], {})
         server = FoxgloveServer(header, 0)
         board = Dashboard(header, lambda: poller.odd, server)
@@ -275,10 +275,10 @@ def test_at_another_address_a_browser_sends_the_token_once_over_tls(
 
 @pytest.mark.parametrize("bind", ["0.0.0.0", "192.168.1.5", "::", "robot-base.local"])
 def test_another_address_is_refused_without_token_and_tls(bind: str, certificate: tuple[str, str]) -> None:
-    with pytest.raises(Refused, match="--tls-cert, --tls-key, --token missing") as refused:
+    with pytest.raises(AccessRefused, match="--tls-cert, --tls-key, --token missing") as refused:
         access(bind, 8470, None, None, None)
     assert refused.value.usage and "ssh -L 8470:127.0.0.1:8470" in refused.value.help
-    with pytest.raises(Refused, match="; --token missing"):
+    with pytest.raises(AccessRefused, match="; --token missing"):
         access(bind, 8470, *certificate, None)
 
 
@@ -287,17 +287,17 @@ def test_a_token_is_made_for_its_owner_alone_and_read_again(tmp_path: Path) -> N
     token = read_token(path)
     assert read_token(path) == token and len(token) >= 32 and path.stat().st_mode & 0o777 == 0o600
     path.chmod(0o640)
-    with pytest.raises(Refused, match="mode 0640"):
+    with pytest.raises(AccessRefused, match="mode 0640"):
         read_token(path)
     for text in ("short", "", "with a space in it, but otherwise long enough", "\x01" * 50, "ä" * 40):
         path.unlink()
         path.write_text(text)
         path.chmod(0o600)
-        with pytest.raises(Refused, match="holds no token"):
+        with pytest.raises(AccessRefused, match="holds no token"):
             read_token(path)
-    with pytest.raises(Refused):
+    with pytest.raises(AccessRefused):
         read_token(tmp_path)
-    with pytest.raises(Refused):
+    with pytest.raises(AccessRefused):
         read_token(tmp_path / "no" / "token")
 
 

@@ -18,7 +18,7 @@ from benchmarks.fixtures.deployed import Deployed, deployed, place, state
 from koordgen.cli.base import building
 from koordgen.operate import host_tool_archive
 from koordgen.operate.host_tool_archive import archive
-from koordgen.operate.hosts import Answer, Session, sessions
+from koordgen.operate.hosts import Answer, SshSession, sessions
 
 FIRST: set[str | None] = set()  # the release with which each test begins
 ROBOTS = {"alice": "a", "bert": "b", "cleo": "c", "dora": "c"}
@@ -125,7 +125,7 @@ def test_a_robot_in_flight(standing: Deployed, capfd: pytest.CaptureFixture[str]
         fcntl.flock(file, fcntl.LOCK_EX)
         told = refused(standing, capfd)
     path.unlink()
-    assert "error: cleo, dora (" in told and "agents run there: dora" in told and "koordgen stop" in told
+    assert "error: cleo, dora (" in told and "agents run on the host: dora" in told and "koordgen stop" in told
 
 
 def test_a_clock_that_is_off(
@@ -169,7 +169,7 @@ def test_a_processor_without_wheels(
     before = standing.states()
     assert standing.deploy() == 1
     told = capfd.readouterr().err
-    assert "error: alice (" in told and "its processor is armv7l" in told and "nothing was changed" in told
+    assert "error: alice (" in told and "the host's processor is armv7l" in told and "nothing was changed" in told
     assert standing.states() == before
 
 
@@ -284,7 +284,7 @@ def test_rotating_the_key(
 def test_rolling_back_to_what_is_not_there(standing: Deployed, capfd: pytest.CaptureFixture[str]) -> None:
     assert standing.rollback("--to", "0123456789abcdef") == 1
     told = capfd.readouterr().err
-    assert "0123456789abcdef is not there" in told and "alice (" in told and "nothing was changed" in told
+    assert "no release 0123456789abcdef" in told and "alice (" in told and "nothing was changed" in told
 
 
 @pytest.mark.parametrize("verb", ["missing", "switch", "prepare"])
@@ -307,30 +307,30 @@ def test_an_interrupt_within_phase_two_comes_too_late(standing: Deployed, capfd:
 @contextmanager
 def interrupt_at(verb: str) -> Iterator[None]:
     """Interrupt this process, as Ctrl-C does, when the host of bert is asked `verb`."""
-    call = Session.call
+    call = SshSession.call
 
-    async def interrupting(session: Session, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
+    async def interrupting(session: SshSession, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
         if asked == verb and "bert" in session.host.robots:
             os.kill(os.getpid(), signal.SIGINT)
         return await call(session, asked, data, **arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Session, "call", interrupting)
+        patch.setattr(SshSession, "call", interrupting)
         yield
 
 
 @contextmanager
 def cut_before(fleet: Deployed, verb: str) -> Iterator[None]:
     """Cut the link to the host of bert as soon as it is asked `verb`."""
-    call = Session.call
+    call = SshSession.call
 
-    async def cutting(session: Session, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
+    async def cutting(session: SshSession, asked: str, data: bytes = b"", **arguments: Any) -> Answer:
         if asked == verb and "bert" in session.host.robots:
             fleet.ssh.hosts["b"].cut()
         return await call(session, asked, data, **arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Session, "call", cutting)
+        patch.setattr(SshSession, "call", cutting)
         yield
 
 
@@ -357,11 +357,12 @@ raise SystemExit(main())
 @pytest.mark.parametrize(
     "words",
     [
-        "its host key is not in known_hosts", "its host key is not the one in known_hosts", "it refuses your SSH keys",
-        "no address is known", "did not answer within", "refuses connections", "and agents need 64 bits",
-        "there is no wheel of", "agents run there", "works here since", "it has a release of another fleet", "no space",
-        "cannot be written", "the disk of this host is read-only", "behind", "services would end there when",
-        "its bundle does not load", "the link was cut", "its login shell prints too much", "is not understood",
+        "key is not in known_hosts", "key differs from the key in known_hosts", "the host refuses your SSH keys",
+        "no address is known", "did not answer within", "refuses connections", "but agents need a 64-bit processor",
+        "there is no wheel of", "agents run on the host", "works here since", "the host has a release of another fleet",
+        "no space",
+        "cannot be written", "the disk of this host is read-only", "behind", "services would end on the host when",
+        "its bundle does not load", "the link was cut", "the login shell prints more than", "is not understood",
     ],
 )  # fmt: skip
 def test_the_messages_of_the_page_are_those_of_the_code(words: str) -> None:

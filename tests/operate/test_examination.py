@@ -6,7 +6,7 @@ import asyncio
 import json
 from typing import Any
 
-from koordgen.operate.examination import Examined, examine, table, to_json, worst
+from koordgen.operate.examination import HostExamination, examine, table, to_json, worst
 from koordgen.operate.hosts import HostError
 from tests.operate.fakes import FakeSession, reached, unreachable
 
@@ -22,10 +22,10 @@ class Doctors(FakeSession):
         if robot == "dora":
             raise HostError(self.host, "missing", "there is no release", "deploy it")
         findings = {"alice": [FINE], "bert": [FINE, KEY], "cleo": [FINE, PORT, KEY]}[robot]
-        return {"status": 5 if robot == "cleo" else 0, "document": {"app": "a", "findings": findings}}
+        return {"status": 5 if robot == "cleo" else 0, "document": {"app": "a", "checks": findings}}
 
 
-def looked() -> list[Examined]:
+def looked() -> list[HostExamination]:
     return asyncio.run(examine(reached(Doctors("alice", "bert"), Doctors("cleo"), Doctors("dora"))))
 
 
@@ -45,7 +45,7 @@ def test_the_table_shows_what_is_not_well() -> None:
 
 def test_one_document_has_all_findings() -> None:
     document = json.loads(to_json(looked()))
-    assert document["status"] == 5 and document["robots"][1]["findings"] == [FINE, KEY]
+    assert document["status"] == 5 and document["robots"][1]["checks"] == [FINE, KEY]
 
 
 def test_a_host_that_cannot_be_asked_is_as_bad_as_the_worst() -> None:

@@ -24,7 +24,7 @@ if "--doctor" in sys.argv:
     name = json.load(open(sys.argv[0] + "/settings.json"))["robot"]
     state = "fail" if name == "cleo" else "ok"
     finding = {"name": "port", "state": state, "found": "47100", "wanted": "", "why": ""}
-    print(json.dumps({"app": "line", "status": 5 if name == "cleo" else 0, "findings": [finding]}))
+    print(json.dumps({"app": "line", "status": 5 if name == "cleo" else 0, "checks": [finding]}))
     raise SystemExit(5 if name == "cleo" else 0)
 if "--status" in sys.argv:
     raise SystemExit(5)
@@ -75,11 +75,11 @@ def test_agents_are_started_and_stopped_and_their_lines_are_shown(
     assert run(fleet, "start", "alice", "cleo") == 0
     assert re.fullmatch(r"started alice, cleo, release [0-9a-f]{8}\n", capfd.readouterr().out)
     assert run(fleet, "start") == 0
-    assert "started bert" in (said := capfd.readouterr().out) and "running before: alice, cleo" in said
+    assert "started bert" in (said := capfd.readouterr().out) and "running already: alice, cleo" in said
     assert run(fleet, "stop", "bert") == 0
     assert capfd.readouterr().out == "stopped bert\n"
     assert run(fleet, "stop") == 0
-    assert capfd.readouterr().out == "stopped alice, cleo\nnot running: bert\n"
+    assert capfd.readouterr().out == "stopped alice, cleo\nno agent ran on: bert\n"
     assert run(fleet, "logs", "--lines", "100") == 0
     lines = [line.split(maxsplit=3) for line in capfd.readouterr().out.splitlines()]
     assert [line[:2] for line in lines] == sorted(line[:2] for line in lines)
@@ -141,7 +141,7 @@ def test_a_collected_flight_is_a_run_folder(fleet: Deployed, tmp_path: Path, cap
     try:
         assert run(fleet, "collect", "-o", str(folder)) == 5
         said = capfd.readouterr()
-        assert "missed cleo" in said.err and "refuses connections" in said.err
+        assert "not all files of cleo were collected" in said.err and "refuses connections" in said.err
         fetched = {line.split()[0]: float(line.split()[3]) for line in said.out.splitlines()}
         assert set(fetched) == {"alice", "bert"} and all(megabytes < 0.01 for megabytes in fetched.values())
     finally:

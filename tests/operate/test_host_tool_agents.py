@@ -135,7 +135,7 @@ def test_the_doctor_and_the_release_are_told(host: FakeHost, ports: dict[str, in
     with host.session() as session:
         release.put(session)
         found = session.call("doctor", robot="alice")
-        assert (found["status"], found["document"]) == (1, {"robot": "alice", "findings": []})
+        assert (found["status"], found["document"]) == (1, {"robot": "alice", "checks": []})
         assert refused(session.call, "doctor", robot="carol").code == "unknown robot"
         assert session.call("release", id=release.id) == {"release": release.document, "files": release.files}
         assert refused(session.call, "release", id="0" * 16).code == "missing"
@@ -144,14 +144,14 @@ def test_the_doctor_and_the_release_are_told(host: FakeHost, ports: dict[str, in
 def test_a_log_is_bounded_and_a_full_disk_costs_lines_only(tmp_path: Path) -> None:
     from koordgen.operate.host_tool import logs
 
-    log = logs.Log(tmp_path / "alice.log")
+    log = logs.AgentLog(tmp_path / "alice.log")
     for _ in range(10_000):
         log.write("x" * 4000)
     log.close()
     assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 17_000_000
     stamps = [stamp for stamp, _ in logs.read_log(tmp_path / "alice.log")]
     assert len(stamps) > 2000 and sorted(set(stamps)) == stamps
-    full = logs.Log(Path("/dev/full"))
+    full = logs.AgentLog(Path("/dev/full"))
     for text in "abc":
         full.write(text)
     full.close()
@@ -289,7 +289,7 @@ def test_a_real_agent_runs_from_its_release(host: FakeHost, tmp_path: Path) -> N
         assert refused(session.call, "switch", id=release.id, seconds=60).message.endswith("alice (starting)")
         assert session.call("stop", robots=None, seconds=60) == {"stopped": ["alice"]}
         texts = [text for _, text in session.call("logs", robot="alice", lines=99)["lines"]]
-        assert any(text.endswith("alice: info: rested") for text in texts)
+        assert any(text.endswith("alice: info: stopped") for text in texts)
         assert session.call("verify", id=release.id)["checked"] == len(release.bundles["alice"])  # as it was
     assert (host.folder / "state" / "alice.state").exists()
     assert b'"alice"' in (host.folder / "traces" / "alice" / "trace.jsonl").read_bytes()

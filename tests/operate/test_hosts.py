@@ -132,7 +132,7 @@ def test_a_changed_host_key(fleet: SshFleet, tmp_path: Path) -> None:
     known = tmp_path / "known_hosts"
     known.write_text(f"[127.0.0.1]:{fleet.hosts['alice'].port} {(tmp_path / 'other.pub').read_text()}")
     error = failure(fleet.hosts["alice"].host(), replace(fleet.options, known_hosts=str(known)))
-    assert error.code == "changed key" and "not the one in known_hosts" in error.message
+    assert error.code == "changed key" and "differs from the key in known_hosts" in error.message
     assert "ssh-keygen -R" in error.help and "do not connect" in error.help
 
 
@@ -192,7 +192,7 @@ def test_a_host_that_does_not_answer(fleet: SshFleet) -> None:
 
 def test_no_python(fleet: SshFleet) -> None:
     error = failure(fleet.hosts["alice"].host(python="python9"), fleet.options)
-    assert error.code == "python" and "there is no python9" in error.message
+    assert error.code == "python" and "no command python9" in error.message
 
 
 def test_an_old_python(fleet: SshFleet) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from koordgen.operate.estop import Place
 from koordgen.operate.installed import Installed, installed
-from koordgen.operate.status import Asked, odd_releases, table, to_json, with_hosts
+from koordgen.operate.status import StatusAnswer, odd_releases, table, to_json, with_hosts
 from tests.operate.fakes import FakeSession, reached, unreachable
 
 RELEASE = "ab" * 16
@@ -36,11 +36,11 @@ def report(release: str = RELEASE, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def asked(name: str, answer: dict[str, Any] | None = None) -> Asked:
-    return Asked(Place(name, "10.0.0.7", 48100), answer, 0.1, "" if answer else "no answer")
+def asked(name: str, answer: dict[str, Any] | None = None) -> StatusAnswer:
+    return StatusAnswer(Place(name, "10.0.0.7", 48100), answer, 0.1, "" if answer else "no answer")
 
 
-def looked(*sessions: FakeSession) -> list[Asked]:
+def looked(*sessions: FakeSession) -> list[StatusAnswer]:
     found, failed = asyncio.run(installed(reached(*sessions, failed=(unreachable("emil"),))))
     answers = [asked("alice", report(battery=0.62)), *map(asked, ("bert", "dora", "emil"))]
     return with_hosts(answers, found, {robot: error.message for robot, error in failed.items()})
@@ -74,4 +74,4 @@ def test_robots_with_another_key_are_odd_although_they_have_the_same_bundles() -
     }
     answers = with_hosts([asked(name) for name in hosts], hosts, {})
     assert odd_releases(answers) == {"cleo": "b" * 16}
-    assert "other releases than the rest: cleo (bbbbbbbb)" in table(answers)
+    assert "robots whose release differs from most: cleo (bbbbbbbb)" in table(answers)

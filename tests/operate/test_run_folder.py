@@ -132,7 +132,7 @@ def test_all_readers_take_the_folder(folder: Path, capsys: pytest.CaptureFixture
 
 def test_traces_of_another_fleet_are_refused(folder: Path) -> None:
     fleet = fleet_of(folder, ("alice", "bert", "dora"))
-    with pytest.raises(BadTrace, match=r"of the robots alice, bert, cleo, and the fleet file lists alice, bert, dora"):
+    with pytest.raises(BadTrace, match=r"of the robots alice, bert, cleo, but the fleet file lists alice, bert, dora"):
         write_trace(folder, flown(folder), program_of(folder), fleet)
     assert not (folder / "trace.jsonl").exists()
 

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from koordgen.operate.hosts import HostError
-from koordgen.operate.services import Refused, start, stop
+from koordgen.operate.services import ServiceRefused, start, stop
 from tests.operate.fakes import FakeSession, reached, unreachable
 
 
@@ -28,7 +28,7 @@ def test_all_robots_of_one_release_start() -> None:
 )
 def test_nothing_starts_in_a_mixed_fleet(odd: FakeSession, said: str) -> None:
     one = FakeSession("alice", "bert")
-    with pytest.raises(Refused, match=said) as refused:
+    with pytest.raises(ServiceRefused, match=said) as refused:
         asyncio.run(start(reached(one, odd)))
     assert "nothing was started" in refused.value.help
     assert [verb for session in (one, odd) for verb, _ in session.calls] == ["inspect", "inspect"]

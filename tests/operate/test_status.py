@@ -68,7 +68,7 @@ def test_every_robot_has_its_line(
     started[1].wait()
     assert main(["status", fleet]) == 5
     last = capsys.readouterr()
-    assert "bert" in last.out and "no agent runs there" in last.out
+    assert "bert" in last.out and "no agent runs at this address" in last.out
     assert "no answer from bert" in last.err and "alice" not in last.err
 
 
@@ -80,10 +80,10 @@ def test_a_robot_of_another_release_is_named(
         (folder / "RELEASE").write_text(release * 32 + "\n")
         start(folder, started)
     status, found, said = ask_until(fleet, capsys, "joining")
-    assert status == 1 and "another release than the rest: bert" in said
+    assert status == 1 and "different release from most robots: bert" in said
     assert found["odd_releases"] == {"bert": "b" * 32}
     main(["status", fleet])
-    assert "other releases than the rest: bert (bbbbbbbb)" in capsys.readouterr().out
+    assert "robots whose release differs from most: bert (bbbbbbbb)" in capsys.readouterr().out
 
 
 def test_who_asks_with_another_key_gets_no_answer_and_is_told_of_it(

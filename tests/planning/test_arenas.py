@@ -21,7 +21,7 @@ from benchmarks.fixtures.arenas import (
     many,
 )  # fmt: skip
 from koordgen.runtime.values.points import Point
-from targets.planning.ask import Asked
+from targets.planning.ask import PlannerJudge
 from targets.planning.room import Room, fixed
 from targets.planning.world import World
 
@@ -31,7 +31,7 @@ def test_every_solvable_arena_is_solved_and_no_path_collides(seed: int) -> None:
     bodies = arena(seed)
     world, checker = World(ARENA, bodies, CLEARANCE, RADIUS, seed=1, iterations=5000), Checker(bodies)
     for name in ("rrt", "rrt-smoothed"):
-        path, why = Asked(name, world).answer(START, GOAL, NOWHERE, 0.0)
+        path, why = PlannerJudge(name, world).answer(START, GOAL, NOWHERE, 0.0)
         assert path or not Fine(world).plan(START, GOAL, NOWHERE, 0.0), why
         assert not checker.collides(path)
 

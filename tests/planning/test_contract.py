@@ -12,7 +12,7 @@ import pytest
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Grid, Point, distance
-from targets.planning.ask import NAMES, Asked
+from targets.planning.ask import NAMES, PlannerJudge
 from targets.planning.exact import solid_distance
 from targets.planning.mesh import Surface
 from targets.planning.world import Path, Scene, World
@@ -29,8 +29,8 @@ WALL = Block(Point(-0.2, -4.0, 0.0), Point(0.2, 2.0, 3.0))
 every = pytest.mark.parametrize("name", ALL)
 
 
-def asked(name: str, *obstacles: Obstacle) -> Asked:
-    return Asked(name, World(ARENA, obstacles, CLEARANCE, RADIUS))
+def asked(name: str, *obstacles: Obstacle) -> PlannerJudge:
+    return PlannerJudge(name, World(ARENA, obstacles, CLEARANCE, RADIUS))
 
 
 def plan(name: str, *obstacles: Obstacle, start: Point = START, goal: Point = GOAL, scene: Scene = Scene()) -> Path:  # noqa: B008
@@ -156,16 +156,16 @@ def test_another_robots_path_is_kept_away_from_by_two_radii(name: str) -> None:
 def test_on_the_ground_paths_stay_there() -> None:
     world = World(Box(Point(-5.0, -4.0, -0.5), Point(5.0, 4.0, 3.0)), (WALL,), CLEARANCE, RADIUS, flies=False)
     start, goal = Point(-4.0, 0.0, 0.0), Point(4.0, 0.0, 0.0)
-    path, _ = Asked("rrt-smoothed", world).answer(start, goal, Scene(), SECONDS)
+    path, _ = PlannerJudge("rrt-smoothed", world).answer(start, goal, Scene(), SECONDS)
     assert path[0] == start and path[-1] == goal and {p.z for p in path} == {0.0}
-    assert Asked("rrt-smoothed", world).answer(start, GOAL, Scene(), SECONDS)[0] == ()
+    assert PlannerJudge("rrt-smoothed", world).answer(start, GOAL, Scene(), SECONDS)[0] == ()
 
 
 @pytest.mark.parametrize("name", ["rrt", "rrt-smoothed", "rrt-star"])
 def test_with_a_seed_and_a_bound_of_iterations_an_answer_is_the_same_again(name: str) -> None:
     world = World(ARENA, (WALL,), CLEARANCE, RADIUS, seed=7, iterations=2000)
-    first = Asked(name, world).answer(START, GOAL, Scene(), 0.0)
-    again = Asked(name, world)
+    first = PlannerJudge(name, world).answer(START, GOAL, Scene(), 0.0)
+    again = PlannerJudge(name, world)
     assert first == again.answer(START, GOAL, Scene(), 5.0) == again.answer(START, GOAL, Scene(), 1.0)
     assert first[0]
 

@@ -60,7 +60,7 @@ def test_it_answers_as_one_in_the_same_process_does() -> None:
     with beside("rrt-smoothed", budget=1.0, world=world) as planning:
         path = planning.plan(START, goal, Scene())
         assert len(path) > 2 and path == inside.plan(START, goal, Scene())
-        assert planning.news() == inside.news() == []
+        assert planning.log_lines() == inside.log_lines() == []
         pid = planning.pid
     assert not alive(pid)
 
@@ -70,7 +70,7 @@ def test_a_large_scene_goes_through_the_pipe() -> None:
         Grid(2 * i, 90 + 2 * j, 0.05) for i in range(60) for j in range(60)
     )
     with beside("rrt", budget=2.0) as planning:
-        assert planning.plan(START, EASY, Scene(grids=cells)) or planning.news()
+        assert planning.plan(START, EASY, Scene(grids=cells)) or planning.log_lines()
         assert planning.ready
 
 
@@ -80,8 +80,8 @@ def test_one_that_is_killed_is_begun_anew_and_told() -> None:
         os.kill(planning.pid, signal.SIGKILL)
         until(planning, lambda: not planning.ready)
         assert planning.plan(START, EASY, Scene()) == ()
-        assert planning.news() == [
-            "the planner ended by itself; it is begun anew", "no path: the planner is not there",
+        assert planning.log_lines() == [
+            "the planner ended by itself; it is started again", "no path: the planner is not running",
         ]  # fmt: skip
         until(planning, lambda: planning.ready)
         assert planning.plan(START, EASY, Scene()) == (START, EASY)
@@ -94,7 +94,7 @@ def test_one_that_is_late_does_not_keep_the_agent_and_its_late_answer_is_dropped
         assert planning.plan(START, LATE, Scene()) == ()
         assert time.monotonic() - began < 0.15
         assert planning.plan(START, EASY, Scene()) == ()
-        assert planning.news() == [
+        assert planning.log_lines() == [
             "no path: the planner did not answer within 50 ms", "no path: the planner is still at the last question",
         ]  # fmt: skip
         time.sleep(0.3)
@@ -109,7 +109,7 @@ def test_one_that_hangs_is_ended_and_begun_anew(monkeypatch: pytest.MonkeyPatch)
         assert planning.plan(START, GONE, Scene()) == ()
         until(planning, lambda: not planning.ready)
         until(planning, lambda: not alive(pid))
-        assert planning.news()[-1] == "the planner has not answered for 0.3 s; it is begun anew"
+        assert planning.log_lines()[-1] == "the planner has not answered for 0.3 s; it is started again"
         until(planning, lambda: planning.ready)
         assert planning.plan(START, EASY, Scene()) == (START, EASY)
 
@@ -117,7 +117,7 @@ def test_one_that_hangs_is_ended_and_begun_anew(monkeypatch: pytest.MonkeyPatch)
 def test_one_that_raises_goes_on_and_says_why() -> None:
     with beside("tests.planning.own:Raises") as planning:
         assert planning.plan(START, EASY, Scene()) == ()
-        assert planning.news() == ["no path: the planner failed: RuntimeError: no map"]
+        assert planning.log_lines() == ["no path: the planner failed: RuntimeError: no map"]
         assert planning.ready
 
 
@@ -125,7 +125,7 @@ def test_one_that_raises_goes_on_and_says_why() -> None:
 def test_rubbish_is_refused(name: str) -> None:
     with beside(f"tests.planning.own:{name}") as planning:
         assert planning.plan(START, EASY, Scene()) == ()
-        (told,) = planning.news()
+        (told,) = planning.log_lines()
         assert "the planner's path was refused" in told
 
 
@@ -133,7 +133,7 @@ def test_one_that_leaves_and_prints(capfd: pytest.CaptureFixture[str]) -> None:
     with beside("tests.planning.own:Ends") as planning:
         assert planning.plan(START, EASY, Scene()) == (START, EASY), "what it prints is no answer"
         assert planning.plan(START, LATE, Scene()) == ()
-        assert planning.news() == ["the planner ended by itself; it is begun anew"]
+        assert planning.log_lines() == ["the planner ended by itself; it is started again"]
         until(planning, lambda: planning.ready)
 
 
@@ -213,11 +213,11 @@ def test_a_reason_is_told_once_until_there_is_a_path_again() -> None:
     inside.start()
     for x in (-0.1, 0.0, 0.1):
         assert inside.plan(START, Point(x, 0.0, 1.5), Scene()) == ()
-    assert inside.news() == ["no path: the goal is too near to obstacle 0"]
+    assert inside.log_lines() == ["no path: the goal is too near to obstacle 0"]
     assert inside.plan(START, Point(9.0, 0.0, 1.5), Scene()) == ()
-    assert inside.news() == ["no path: the goal is outside the arena"]
+    assert inside.log_lines() == ["no path: the goal is outside the arena"]
     assert inside.plan(START, EASY, Scene()) == (START, EASY)
-    assert inside.plan(START, Point(0.0, 0.0, 1.5), Scene()) == () and len(inside.news()) == 1
+    assert inside.plan(START, Point(0.0, 0.0, 1.5), Scene()) == () and len(inside.log_lines()) == 1
 
 
 def test_a_judge_that_misses_a_package_says_what_to_do() -> None:

@@ -16,13 +16,13 @@ def test_a_route_gives_its_points_one_after_the_other() -> None:
         return route.goal, route.last
 
     assert now() == (None, True)
-    assert route.take((a, b))
+    assert route.follow((a, b))
     assert now() == (a, False)
     assert route.passed() == b
     assert route.passed() == b, "the last one stays"
     assert now() == (b, True)
-    assert not route.take((a, b)), "it is being followed already"
-    assert route.take(())
+    assert not route.follow((a, b)), "it is being followed already"
+    assert route.follow(())
     assert now() == (None, True)
 
 
@@ -47,7 +47,7 @@ def test_a_robot_amid_a_path_has_passed_the_points_before_the_nearest_leg(
 
 def test_a_route_can_leave_out_points() -> None:
     route = Route()
-    route.take(SQUARE)
+    route.follow(SQUARE)
     route.skip(2)
     assert route.goal == SQUARE[2]
     route.skip(9)

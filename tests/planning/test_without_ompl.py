@@ -14,7 +14,7 @@ from koordgen.runtime.values.points import Point, distance
 from targets.car.planning import ask as car
 from targets.car.planning.planner import segments
 from targets.planning import own_trees
-from targets.planning.ask import Asked, BadPlanner
+from targets.planning.ask import BadPlanner, PlannerJudge
 from targets.planning.exact import solid_distance
 from targets.planning.world import Path, Scene, World
 from tests.planning.test_contract import ARENA, CLEARANCE, GOAL, KEPT, RADIUS, START, WALL, keeps
@@ -35,7 +35,7 @@ def no_ompl(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def planned(name: str, seed: int, *obstacles: Block) -> Path:
     world = World(ARENA, obstacles, CLEARANCE, RADIUS, seed=seed, iterations=2000)
-    return Asked(name, world).answer(START, GOAL, Scene(), 5.0)[0]
+    return PlannerJudge(name, world).answer(START, GOAL, Scene(), 5.0)[0]
 
 
 @pytest.mark.parametrize("name", ["rrt", "rrt-smoothed"])
@@ -57,12 +57,12 @@ def test_a_car_finds_its_way_around_a_wall() -> None:
     wall = Block(Point(3.4, 0.0, 0.0), Point(3.6, 5.5, 1.0))
     for reverse in (True, False):
         place = scenes.world((wall,), reverse, seed=3, iterations=200)
-        answer = scenes.ask(car.Asked("rrt-smoothed", place), (1.0, 4.0, 0.0), Point(6.0, 4.0, 0.0))
+        answer = scenes.ask(car.CarJudge("rrt-smoothed", place), (1.0, 4.0, 0.0), Point(6.0, 4.0, 0.0))
         assert answer.path and answer.path[-1] == Point(6.0, 4.0, 0.0)
         assert not collisions(place, segments(scenes.curve(answer)))
 
 
-@pytest.mark.parametrize("asked", [Asked, car.Asked])
-def test_rrt_star_is_refused_and_said_why(asked: type[Asked | car.Asked]) -> None:
-    with pytest.raises(BadPlanner, match="needs OMPL, which has no wheel for this Python; take rrt-smoothed"):
+@pytest.mark.parametrize("asked", [PlannerJudge, car.CarJudge])
+def test_rrt_star_is_refused_and_said_why(asked: type[PlannerJudge | car.CarJudge]) -> None:
+    with pytest.raises(BadPlanner, match="needs OMPL, which has no wheel for this Python; use rrt-smoothed"):
         asked("rrt-star", scenes.world())

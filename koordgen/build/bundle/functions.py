@@ -8,7 +8,7 @@ from typing import Any
 
 from koordgen.build.emit.program import functions_module
 from koordgen.lang.diagnostics import Diagnostic
-from koordgen.lang.ir.decl import ExternFunction, ExternType, Program
+from koordgen.lang.ir.decl import ExternFunction, ExternTypeDef, Program
 from koordgen.lang.source import Span
 
 
@@ -23,7 +23,7 @@ def check_functions(program: Program, file: Path | None) -> list[Diagnostic]:
     """Return a diagnostic for each extern function or type that is missing in the file or does not fit."""
     if file is None:
         return []
-    needs: tuple[ExternFunction | ExternType, ...] = (*program.externs, *program.extern_types)
+    needs: tuple[ExternFunction | ExternTypeDef, ...] = (*program.externs, *program.extern_types)
     first = min(needs, key=lambda need: need.span.line).span
     if not file.is_file():
         help = f"write it in the folder of {program.path}, or name another file with --functions"
@@ -38,8 +38,8 @@ def check_functions(program: Program, file: Path | None) -> list[Diagnostic]:
     return [d for need in needs for d in _check(need, offered[need.name], file.name)]
 
 
-def _check(need: ExternFunction | ExternType, found: dict[str, Any] | None, file: str) -> Iterator[Diagnostic]:
-    if isinstance(need, ExternType):
+def _check(need: ExternFunction | ExternTypeDef, found: dict[str, Any] | None, file: str) -> Iterator[Diagnostic]:
+    if isinstance(need, ExternTypeDef):
         if found is None or not found["class"]:
             help = f"write `class {need.name}:`, a dataclass or msgspec.Struct whose fields all have default values"
             yield _wrong(f"{file} has no class {need.name}", need.span, help)

@@ -162,10 +162,10 @@ def _screening(page: Page, function: str, enough: str, names: Names) -> list[str
     if not enough:
         return []
     page.gap()
-    page.add(f"def surely_{function}(b: {names.use('Any')}) -> Any:")
+    page.add(f"def screening_{function}(b: {names.use('Any')}) -> Any:")
     page.add('"""Screening of many observations at once: where this is true, the formula holds."""', STEP)
     page.add(joined("return ", enough), STEP)
-    return [f"surely=surely_{function}"]
+    return [f"screening=screening_{function}"]
 
 
 def _asking(call: e.PortCall, goals: dict[int, e.TempRead], names: Names) -> str:

@@ -12,7 +12,7 @@ from koordgen.cli.operate.fleet_commands import on_hosts
 from koordgen.cli.operate.ssh import read_fleet, status_of
 from koordgen.fleet.file import Fleet
 from koordgen.lang import resources
-from koordgen.operate.collect import CannotCollect, Collection, Folder, collect_all
+from koordgen.operate.collect import CannotCollect, Collection, CollectionFolder, collect_all
 from koordgen.operate.hosts import HostError
 from koordgen.operate.run_folder import ROBOTS, flown, write_source, write_trace
 from koordgen.runtime.trace.schema import BadTrace
@@ -25,7 +25,7 @@ def collect(options: Namespace) -> int:
     """
     fleet, folder = read_fleet(options.fleet), Path(options.out)
     try:
-        with Folder(folder) as into:
+        with CollectionFolder(folder) as into:
             found = _collected(options, fleet, into)
             _show(fleet, found)
             merged = _merged(folder, fleet, found)
@@ -37,17 +37,17 @@ def collect(options: Namespace) -> int:
         errors = [error for error in found.missed.values() if isinstance(error, HostError)]
         names = [robot.name for robot in fleet.robots if robot.name in found.missed]
         said = "\n".join(f"  {_why(name, found)}" for name in names)
-        help = "the same command again fetches what is missing, and nothing else"
-        raise console.Failure(status_of(errors), f"missed {', '.join(names)}\n{said}", help)
+        help = "run the same command again; it fetches only the missing files"
+        raise console.Failure(status_of(errors), f"not all files of {', '.join(names)} were collected\n{said}", help)
     if not merged:
         raise console.Failure(
             console.WRONG, f"{folder} has no merged trace", "each robot's own traces and log are complete"
         )
-    print(f"run: {folder}; `koordgen report {folder}` shows it")
+    print(f"run folder: {folder}; `koordgen report {folder}` shows the run")
     return console.HOLDS
 
 
-def _collected(options: Namespace, fleet: Fleet, into: Folder) -> Collection:
+def _collected(options: Namespace, fleet: Fleet, into: CollectionFolder) -> Collection:
     line, total = ProgressLine(sys.stderr), 0
 
     def progress(count: int) -> None:
@@ -70,7 +70,7 @@ def _show(fleet: Fleet, found: Collection) -> None:
 
 
 def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
-    """Write the program and the merged trace. If that is impossible, print the reason and return False."""
+    """Write the program and the merged trace; return False and print the reason if they cannot be merged."""
     sys.path.insert(0, str(resources.targets().parent))
     apart = f"`koordgen audit {folder / ROBOTS} --program APP.koord` reads the robots' own traces"
     try:

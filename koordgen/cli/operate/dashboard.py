@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from koordgen.cli.base import console
 from koordgen.lang import resources
 from koordgen.operate.dashboard import Facts, Poller, built_facts
-from koordgen.operate.dashboard_access import Refused, access
-from koordgen.operate.estop import PATIENCE, CannotStop, Fleet, find_fleet, find_key, show, stop_all
+from koordgen.operate.dashboard_access import AccessRefused, access
+from koordgen.operate.estop import ANSWER_TIMEOUT, CannotStop, StoppableFleet, find_fleet, find_key, show, stop_all
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def dashboard(options: Namespace) -> int:
         key = find_key(found, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
-    except Refused as error:
+    except AccessRefused as error:
         raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
     facts = _facts(found, options.fleet)
     sys.path.insert(0, str(resources.targets().parent))
@@ -40,7 +40,7 @@ def dashboard(options: Namespace) -> int:
     targets = facts.plain.get("targets", {})
     names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
     plain = {name: value for name, value in facts.plain.items() if name != "targets"}
-    poller = Poller(facts.fleet, key, lambda pid, asked: board.take(pid, asked.report, asked.note))
+    poller = Poller(facts.fleet, key, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
     header = first_header(names, plain)
     board = Dashboard(
         header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
@@ -51,10 +51,10 @@ def dashboard(options: Namespace) -> int:
     except (OSError, OverflowError) as error:
         board.close()
         message = f"{allowed.host}:{options.port}: {getattr(error, 'strerror', None) or error}"
-        raise console.Failure(console.SURROUNDINGS, message, "`--port N` names another port") from None
+        raise console.Failure(console.SURROUNDINGS, message, "choose another port with `--port N`") from None
     print(f"dashboard: {server.url}", flush=True)
     if allowed.token:
-        print(f"it asks for the token that is in {options.token}", flush=True)
+        print(f"a browser must enter the token in {options.token}", flush=True)
     poller.start()
     threading.Thread(target=server.serve_forever, daemon=True).start()
     if options.browser:
@@ -82,7 +82,7 @@ def _stream(header: Header, port: int) -> FoxgloveServer:
     return server
 
 
-def _facts(fleet: Fleet, path: str) -> Facts:
+def _facts(fleet: StoppableFleet, path: str) -> Facts:
     """Return the facts of a fleet file that the map shows: geofence, obstacles, world, targets.
 
     If the file has errors, a warning is printed, and the map shows only the robots.
@@ -96,7 +96,7 @@ def _facts(fleet: Fleet, path: str) -> Facts:
         read, _ = read_fleet(path, all_targets(), None)
     except Rejected as error:
         reason = error.found[0][1].message if error.found else "it cannot be read"
-        console.notify(f"warning: the map has no obstacles: {path}: {reason}")
+        console.notify(f"warning: the map shows no obstacles: {path}: {reason}")
         return Facts(fleet, {})
     plain = {
         "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
@@ -105,11 +105,11 @@ def _facts(fleet: Fleet, path: str) -> Facts:
     return Facts(fleet, plain)
 
 
-def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
+def _stop(fleet: StoppableFleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
     """Return a function that stops the fleet and prints the result on this terminal."""
 
     def stop() -> list[dict[str, Any]]:
-        results = stop_all(fleet.places, fleet.application, key, PATIENCE)
+        results = stop_all(fleet.places, fleet.application, key, ANSWER_TIMEOUT)
         console.notify(f"emergency stop from the dashboard\n{show(results, 'text')}")
         robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
         return robots
@@ -118,7 +118,7 @@ def _stop(fleet: Fleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]
 
 
 def _open(url: str) -> None:
-    """Show the page in a browser, if a graphical desktop runs: a text browser would use this terminal."""
+    """Show the page in a browser if a graphical desktop runs; a text browser would use this terminal."""
     if sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         import webbrowser
 

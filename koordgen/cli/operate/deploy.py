@@ -17,7 +17,7 @@ from koordgen.cli.operate import ssh
 
 if TYPE_CHECKING:
     from koordgen.fleet.file import Fleet
-    from koordgen.operate.deploy import Deployed, Failed, Say
+    from koordgen.operate.deploy import Deployed, Failed, Show
 
 # Endings added to the name of the key file: the key before the last rotation, and the key of a rotation under way.
 BEFORE, NEXT = ".before", ".next"
@@ -37,7 +37,7 @@ def deploy(options: Namespace) -> int:
         robots, app, fleet.application_id, _key_bytes(fleet, options), place.service, place.wheels,
         Path(options.fleet).parent,
     )  # fmt: skip
-    return _run(options, lambda say: deployment.deploy(hosts, connecting, built, options.take_over, say))
+    return _run(options, lambda show: deployment.deploy(hosts, connecting, built, options.take_over, show))
 
 
 def rollback(options: Namespace) -> int:
@@ -48,7 +48,7 @@ def rollback(options: Namespace) -> int:
     fleet = ssh.read_fleet(options.fleet)
     hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
     key = _key_bytes(fleet, options)
-    return _run(options, lambda say: deployment.rollback(hosts, connecting, options.to, key, say))
+    return _run(options, lambda show: deployment.rollback(hosts, connecting, options.to, key, show))
 
 
 def key(options: Namespace) -> int:
@@ -60,9 +60,9 @@ def _new_key(options: Namespace) -> int:
     try:
         _write_key(Path(options.file), secrets.token_bytes(32))
     except FileExistsError:
-        help = "a key is never overwritten; choose another name, or change it with `koordgen key rotate FLEET`"
+        help = "a key is never overwritten; choose another name, or run `koordgen key rotate FLEET`"
         raise console.Failure(console.SURROUNDINGS, f"{options.file} exists", help) from None
-    print(f"{options.file}: keep it beside the fleet file; `koordgen deploy` brings it to every robot")
+    print(f"{options.file}: keep this file beside the fleet file; `koordgen deploy` copies the key to every robot")
     return console.HOLDS
 
 
@@ -78,7 +78,7 @@ def _rotate(options: Namespace) -> int:
     fleet = ssh.read_fleet(options.file)
     if not fleet.key:
         raise console.Failure(
-            console.WRONG, f"{options.file}: the fleet is insecure, so it has no key", "set `key` instead"
+            console.WRONG, f"{options.file}: the fleet has no key: it is insecure", "set `key` instead"
         )
     hosts, connecting = ssh.fleet_hosts(fleet, options.file), ssh.connection(options)
     options.fleet = options.file
@@ -89,34 +89,34 @@ def _rotate(options: Namespace) -> int:
         _write_key(waiting, secrets.token_bytes(32))
     new = _read_key(waiting)
 
-    def finish(say: Say) -> Deployed:
+    def finish(show: Show) -> Deployed:
         try:
-            done = deployment.rotate(hosts, connecting, new, say)
+            done = deployment.rotate(hosts, connecting, new, show)
         except deployment.Missed as missed:
-            missed.outcome += f". Until then keep both {old} and {waiting}"
+            missed.situation += f". Until then keep both {old} and {waiting}"
             raise
         except deployment.Failed as failed:
-            if failed.outcome == deployment.NOTHING_CHANGED:
-                failed.outcome += f", and {old} stays its key"
+            if failed.situation == deployment.NOTHING_CHANGED:
+                failed.situation += f", and {old} stays its key"
             raise
-        _take_place(old, before, waiting)
+        _replace_key(old, before, waiting)
         return done
 
     status = _run(options, finish)
     if status == console.HOLDS and options.format == "text":
-        print(f"{old} is the new key; {before} is the one before, for a rollback. Copy {old} to all who stop the fleet")
+        print(f"{old} is the new key; {before} is the previous one. Copy {old} to every computer that stops the fleet")
     return status
 
 
-def _take_place(old: Path, before: Path, waiting: Path) -> None:
-    """Copy the old key to `before`, and rename `waiting` to `old`. Raises Failure."""
+def _replace_key(old: Path, before: Path, waiting: Path) -> None:
+    """Copy the key file `old` to `before`, and rename the key file `waiting` to `old`. Raises Failure."""
     try:
         before.unlink(missing_ok=True)
         _write_key(before, old.read_bytes())
         os.replace(waiting, old)
     except OSError as error:
-        message = f"all robots have the key in {waiting}, but it could not take the place of {old}: {error.strerror}"
-        raise console.Failure(console.SURROUNDINGS, message, "run the command again: it only moves the files") from None
+        message = f"all robots have the key in {waiting}, but the file cannot be renamed to {old}: {error.strerror}"
+        raise console.Failure(console.SURROUNDINGS, message, "run the command again; it only renames files") from None
 
 
 def _with(path: Path, ending: str) -> Path:
@@ -163,13 +163,13 @@ def _read_key(path: Path) -> bytes:
         raise console.Failure(console.WRONG, str(error), "nothing was changed") from None
 
 
-def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
+def _run(options: Namespace, run: Callable[[Show], Deployed]) -> int:
     """Run a deployment, show its progress on a terminal, and print its result; return the exit status."""
     from koordgen.operate.deploy import Failed
 
     try:
-        with _progress(options) as say:
-            done = run(say)
+        with _progress(options) as show:
+            done = run(show)
     except Failed as failed:
         return _report_failure(options, failed)
     if options.format == "json":
@@ -180,7 +180,7 @@ def _run(options: Namespace, run: Callable[[Say], Deployed]) -> int:
 
 
 @contextmanager
-def _progress(options: Namespace) -> Iterator[Say]:
+def _progress(options: Namespace) -> Iterator[Show]:
     line = ProgressLine(sys.stderr)
     shown = not options.quiet and options.format == "text"
     try:
@@ -200,11 +200,11 @@ def _report_failure(options: Namespace, failed: Failed) -> int:
             {"robots": list(each.host.robots), "host": each.host.login.text, "error": each.code,
              "message": each.message, "help": each.help} for each in failed.errors
         ]  # fmt: skip
-        console.print_document(options, {"release": None, "outcome": failed.outcome, "errors": errors})
+        console.print_document(options, {"release": None, "outcome": failed.situation, "errors": errors})
         return status
     for error in failed.errors:
         console.notify(f"error: {error}" + (f"\n  help: {error.help}" if error.help else ""))
-    console.notify(failed.outcome if failed.errors else f"interrupted; {failed.outcome}")
+    console.notify(failed.situation if failed.errors else f"interrupted; {failed.situation}")
     return status
 
 
@@ -233,5 +233,5 @@ def _as_text(done: Deployed) -> str:
     size = f"{sent / 1e6:.1f} MB sent, {took:.1f} s"
     named = f"{robots} robot{'s' if robots != 1 else ''}"
     if not done.changed:
-        return f"release {done.release}: {named} had it already; {size}"
+        return f"release {done.release}: already on {named}; {size}"
     return f"release {done.release}: on {named}, confirmed; {size}"

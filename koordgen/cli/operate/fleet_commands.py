@@ -18,7 +18,7 @@ from koordgen.operate.examination import examine, table, to_json, worst
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import HostError, Sessions, sessions
 from koordgen.operate.logs import Line, show_lines
-from koordgen.operate.services import Done, Refused
+from koordgen.operate.services import Done, ServiceRefused
 from koordgen.operate.services import start as start_agents
 from koordgen.operate.services import stop as stop_agents
 
@@ -28,31 +28,31 @@ Result = TypeVar("Result")
 def start(options: Namespace) -> int:
     """Start the agents of a fleet.
 
-    If hosts have different releases, none is started, and Failure is raised.
+    If hosts have different releases, no agent is started, and Failure is raised.
     """
     fleet = read_fleet(options.fleet)
     try:
         done = on_hosts(options, fleet, _chosen(fleet, options.robots), start_agents)
-    except Refused as error:
+    except ServiceRefused as error:
         raise console.Failure(console.WRONG, str(error), error.help) from None
     except HostError as error:
         raise console.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None
     if done.robots:
         print(f"started {_names(fleet, done.robots)}, release {done.release[:8]}", flush=True)
     if done.idle:
-        print(f"running before: {_names(fleet, done.idle)}", flush=True)
+        print(f"running already: {_names(fleet, done.idle)}", flush=True)
     return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started" if done.robots else "")
 
 
 def stop(options: Namespace) -> int:
-    """Stop the agents of a fleet; each brings its robot to a safe stop first."""
+    """Stop the agents of a fleet. Each agent first brings its robot to a safe stop."""
     fleet = read_fleet(options.fleet)
     robots = _chosen(fleet, options.robots)
     done = on_hosts(options, fleet, robots, lambda opened: stop_agents(opened, options.seconds))
     if done.robots:
         print(f"stopped {_names(fleet, done.robots)}", flush=True)
     if done.idle:
-        print(f"not running: {_names(fleet, done.idle)}", flush=True)
+        print(f"no agent ran on: {_names(fleet, done.idle)}", flush=True)
     return _ended(done, f"in an emergency: `koordgen estop {options.fleet}`")
 
 
@@ -76,7 +76,7 @@ def logs(options: Namespace) -> int:
     on_hosts(options, fleet, robots, lambda opened: show_lines(opened, options.lines, options.follow, show, note))
     if lost:
         names = ", ".join(robot for error in lost for robot in error.host.robots)
-        raise console.Failure(status_of(lost), f"lines of {names} are missing", "see the warnings above")
+        raise console.Failure(status_of(lost), f"lines of {names} are missing", "the warnings above give the reasons")
     return console.HOLDS
 
 
@@ -103,12 +103,15 @@ def on_hosts(
 
 
 def _chosen(fleet: Fleet, robots: Sequence[str]) -> Sequence[str] | None:
-    """Return the robots that the command names, None for all. Raises Failure for an unknown name."""
+    """Return the robots that the command line names, or None for all robots.
+
+    Raises Failure for an unknown name.
+    """
     known = [robot.name for robot in fleet.robots]
     if strange := [name for name in robots if name not in known]:
         near = nearest(strange[0], known)
         help = (f"did you mean {near}? " if near else "") + f"the robots are {', '.join(known)}"
-        raise console.Failure(console.USAGE, f"no robot {strange[0]!r} is in the fleet file", help)
+        raise console.Failure(console.USAGE, f"the fleet file has no robot {strange[0]!r}", help)
     return robots or None
 
 

@@ -1,4 +1,4 @@
-"""Common functions of commands that use SSH: the fleet's hosts, connection options, and failures."""
+"""Common functions of commands that use SSH: hosts of the fleet, connection options, failures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from koordgen.fleet.file import Fleet
     from koordgen.operate.hosts import Host, HostError, Options
 
-UNREACHABLE = ("unreachable", "unknown key", "changed key", "refused key", "settings", "link")  # codes of HostError
+# codes of HostError for hosts that were not reached
+UNREACHABLE = ("unreachable", "unknown key", "changed key", "refused key", "settings", "link")
 
 
 def read_fleet(path: str) -> Fleet:
@@ -47,7 +48,7 @@ def connection(options: Namespace) -> Options:
     for path in (options.ssh_config, options.known_hosts, options.identity):
         if path is not None and not Path(path).is_file():
             raise console.Failure(
-                console.WRONG, f"{path}: no such file", "look at --ssh-config, --known-hosts and --identity"
+                console.WRONG, f"{path}: no such file", "correct --ssh-config, --known-hosts or --identity"
             )
     return Options(options.ssh_config, options.known_hosts, options.identity)
 

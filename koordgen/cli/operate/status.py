@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING
 
 from koordgen.cli.base import console
 from koordgen.operate.estop import CannotStop, find_fleet, find_key
-from koordgen.operate.status import Asked, ask_all, odd_releases, table, to_json, with_hosts
+from koordgen.operate.status import StatusAnswer, ask_all, odd_releases, table, to_json, with_hosts
 
 if TYPE_CHECKING:
     from koordgen.operate.hosts import Host
 
-_EVERY = 1.0  # seconds between two tables of `--watch`
+_EVERY = 1.0  # seconds between two tables that `--watch` prints
 
 
 def status(options: Namespace) -> int:
     """Ask all robots and print their answers; return the exit status.
 
-    It is 0 if all robots answered and have the same release; otherwise Failure is raised.
+    The exit status is 0 if all robots answered and have the same release; otherwise Failure is raised.
     """
     try:
         fleet = find_fleet(Path(options.fleet), console.notify)
@@ -41,8 +41,11 @@ def status(options: Namespace) -> int:
         time.sleep(max(0.0, began + _EVERY - time.monotonic()))
 
 
-def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
-    """Return the answers, completed by the hosts of silent robots over SSH if the fleet file names hosts."""
+def _ask_hosts(options: Namespace, answers: list[StatusAnswer]) -> list[StatusAnswer]:
+    """Return the robots' answers, or their hosts' answers over SSH for robots that did not answer.
+
+    A host can answer only if the fleet file names it.
+    """
     silent = [each.place.name for each in answers if each.report is None]
     hosts = _hosts_of(options, silent) if silent else ()
     if not hosts:
@@ -52,7 +55,7 @@ def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
     from koordgen.operate.hosts import NoHosts, sessions
     from koordgen.operate.installed import installed
 
-    async def ask() -> list[Asked]:
+    async def ask() -> list[StatusAnswer]:
         async with sessions(hosts, connection(options), archive()) as opened:
             found, failed = await installed(opened)
         return with_hosts(answers, found, {robot: error.message for robot, error in failed.items()})
@@ -69,7 +72,7 @@ def _ask_hosts(options: Namespace, answers: list[Asked]) -> list[Asked]:
 def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
     """Return the hosts that the fleet file names for `robots`.
 
-    There are none if the file has errors, or `options.fleet` is a folder of bundles.
+    Return no hosts if the file has errors, or if `options.fleet` is a folder of bundles.
     """
     from koordgen.build.pipeline import Rejected
     from koordgen.cli.operate.ssh import read_fleet
@@ -85,24 +88,27 @@ def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
     return hosts_of(fleet, named)
 
 
-def _verdict(options: Namespace, answers: Sequence[Asked]) -> int:
+def _verdict(options: Namespace, answers: Sequence[StatusAnswer]) -> int:
     if odd := odd_releases(answers):
         help = "build once with one fleet file, and copy every robot's bundle; `koordgen deploy` does both"
-        raise console.Failure(_silent_status(answers), f"another release than the rest: {', '.join(odd)}", help)
+        raise console.Failure(_silent_status(answers), f"different release from most robots: {', '.join(odd)}", help)
     silent = [each for each in answers if each.report is None]
     if silent and all(each.host is not None and each.host.release and not each.host.running for each in silent):
         help = f"`koordgen start {options.fleet}` starts the agents"
         raise console.Failure(console.SURROUNDINGS, f"the agents of {_names(silent)} do not run", help)
     if silent:
-        help = "are their computers on, and do their agents run? `python3 BUNDLE --status` asks on the robot itself"
+        help = "check that computers and agents run; on a robot, `python3 BUNDLE --status` shows its state"
         raise console.Failure(console.SURROUNDINGS, f"no answer from {_names(silent)}", help)
     return console.HOLDS
 
 
-def _silent_status(answers: Sequence[Asked]) -> int:
-    """Return SURROUNDINGS if neither a robot nor its host answered, else WRONG (different releases)."""
+def _silent_status(answers: Sequence[StatusAnswer]) -> int:
+    """Return the exit status for different releases or missing answers.
+
+    It is SURROUNDINGS if neither a robot nor its host answered, else WRONG.
+    """
     return console.SURROUNDINGS if any(each.report is None and each.host is None for each in answers) else console.WRONG
 
 
-def _names(answers: Sequence[Asked]) -> str:
+def _names(answers: Sequence[StatusAnswer]) -> str:
     return ", ".join(each.place.name for each in answers)

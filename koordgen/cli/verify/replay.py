@@ -79,8 +79,8 @@ def _told(found: Difference, trace: TraceParts) -> str:
     name = trace.robots[found.pid]
     when = f"round {found.round}" if found.round else "init"
     return (
-        f"{trace.place(found.number)}: {when}, robot {name}: {found.what} is {_shown(found.told)} in the trace, "
-        f"{_shown(found.meant)} by the program"
+        f"{trace.place(found.number)}: {when}, robot {name}: {found.what} is {_shown(found.recorded)} in the trace, "
+        f"{_shown(found.computed)} by the program"
     )
 
 

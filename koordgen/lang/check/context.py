@@ -11,7 +11,7 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.builtins import CONSTANTS, FUNCTIONS
 from koordgen.lang.ir.decl import (
     ExternFunction,
-    ExternType,
+    ExternTypeDef,
     Function,
     Import,
     Local,
@@ -33,7 +33,7 @@ from koordgen.lang.syntax import stmt as tree
 
 # Declaration that a name refers to. The block of a Function is empty until its body has been checked; the checks of
 # other bodies need only the function's signature.
-Entity = Param | Module | Shared | Local | Record | ExternType | Function | ExternFunction | SpecFunction | Import
+Entity = Param | Module | Shared | Local | Record | ExternTypeDef | Function | ExternFunction | SpecFunction | Import
 PREDEFINED = ("pid", "N_SYS", "ID", *FUNCTIONS, *CONSTANTS, *NAMED, *GENERIC, "range", "Queue", "Set", "Map")
 
 

@@ -64,7 +64,7 @@ class ExternFunction(Node):
     span: Span
 
 
-class ExternType(Node):
+class ExternTypeDef(Node):
     """Extern type `extern type Ticket`: a class of this name in the functions file."""
 
     name: str
@@ -278,7 +278,7 @@ class Program(Node):
     name: str
     path: str
     records: tuple[Record, ...]
-    extern_types: tuple[ExternType, ...]
+    extern_types: tuple[ExternTypeDef, ...]
     functions: tuple[Function, ...]
     externs: tuple[ExternFunction, ...]
     specs: tuple[SpecFunction, ...]

@@ -120,7 +120,7 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
     decl.Parameter: (0x72, "~name type"),
     decl.Function: (0x73, "name parameters result block"),
     decl.ExternFunction: (0x74, "name parameters result requires ensures"),
-    decl.ExternType: (0x75, "name"),
+    decl.ExternTypeDef: (0x75, "name"),
     decl.SpecFunction: (0x76, "name parameters result"),
     decl.Port: (0x77, "name type =direction meaning"),
     decl.Meaning: (0x7F, "is_position held clears"),

@@ -49,7 +49,7 @@ PAIRS_A_TURN = 10  # pairs of points of two paths whose comparison costs one tur
 MOST_COUNTED = 100_000_000  # limit on a count of elements, whose read would use up an event's whole budget
 
 
-class View(NamedTuple):
+class StateView(NamedTuple):
     """State that one robot sees while an expression is evaluated.
 
     `slots` maps the name of each allread variable to its values by pid, `cells` the name of each allwrite variable to
@@ -73,12 +73,12 @@ class View(NamedTuple):
     spend: Spend
 
 
-def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spend: Spend) -> View:
+def view_of(n_sys: int, params: Mapping[str, Value], call: Call, ask: Call, spend: Spend) -> StateView:
     """Return a View without a robot's state: it gives access to params, the fleet's size and functions only."""
-    return View(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
+    return StateView(-1, n_sys, params, {}, {}, {}, {}, {}, call, ask, {}, (), spend)
 
 
-def charged_for_making(value: T, view: View, span: Span) -> T:
+def charged_for_making(value: T, view: StateView, span: Span) -> T:
     """Charge the size of a new list, set, map, queue or string to the event's budget, and return the value.
 
     Raises Discarded if the value is too large or the budget is used up.
@@ -91,7 +91,7 @@ def charged_for_making(value: T, view: View, span: Span) -> T:
     return value
 
 
-def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
+def charged_for_reading(node: ir.Expr, value: Value, view: StateView) -> Value:
     """Charge the reading of all elements of a value to the event's budget, and return the value.
 
     Raises Discarded if the budget is used up.
@@ -105,7 +105,7 @@ def charged_for_reading(node: ir.Expr, value: Value, view: View) -> Value:
     return value
 
 
-def operand(node: ir.Expr, view: View) -> Value:
+def operand(node: ir.Expr, view: StateView) -> Value:
     """Evaluate an operand of a comparison or a search, and charge its reading to the event's budget.
 
     Raises Discarded if the operand has no value or contains NaN, or if the budget is used up.
@@ -118,7 +118,7 @@ def operand(node: ir.Expr, view: View) -> Value:
     return value
 
 
-def evaluate(node: ir.Expr, view: View) -> Value:
+def evaluate(node: ir.Expr, view: StateView) -> Value:
     """Return the value of a checked expression.
 
     Raises Discarded if the expression has no value, but InternalError if the analysis has proved that the failing
@@ -127,12 +127,12 @@ def evaluate(node: ir.Expr, view: View) -> Value:
     return MEANINGS[type(node)](node, view)
 
 
-def holds(node: ir.Expr, view: View) -> bool:
+def holds(node: ir.Expr, view: StateView) -> bool:
     """Return the value of a condition. Raises Discarded if the condition has no value."""
     return as_(bool, evaluate(node, view))
 
 
-def elements(node: ir.Expr, view: View) -> Iterator[Value]:
+def elements(node: ir.Expr, view: StateView) -> Iterator[Value]:
     """Return the elements over which a loop or quantifier iterates, evaluated once, before the first iteration."""
     if isinstance(node, ir.Range):
         return _steps(_number(node.start, view), _number(node.stop, view), node.step)
@@ -142,7 +142,7 @@ def elements(node: ir.Expr, view: View) -> Iterator[Value]:
     return iter(values)
 
 
-def counting(node: ir.Expr, view: View) -> tuple[Iterator[Value], Iterator[int]] | None:
+def counting(node: ir.Expr, view: StateView) -> tuple[Iterator[Value], Iterator[int]] | None:
     """Return the values of a loop over a range or `ID`, and the same sequence continued without end.
 
     Returns None for a loop over other values.
@@ -163,25 +163,25 @@ def _steps(start: int, stop: int, step: int) -> Iterator[int]:
         start += step
 
 
-def _slot(node: ir.SlotRead, view: View) -> Value:
+def _slot(node: ir.SlotRead, view: StateView) -> Value:
     place = _number(node.index, view)
     if not 0 <= place < view.n_sys:
         raise _fault(node, f"index {place} names no robot (0 to {view.n_sys - 1})", node.proved)
     return view.slots[node.name][place]
 
 
-def _port(node: ir.PortRead, view: View) -> Value:
+def _port(node: ir.PortRead, view: StateView) -> Value:
     return (view.after if node.primed else view.ports)[f"{node.module}.{node.port}"]
 
 
-def _unary(node: ir.Unary, view: View) -> Value:
+def _unary(node: ir.Unary, view: StateView) -> Value:
     if node.op == "not":
         return not holds(node.operand, view)
     positive = evaluate(node.operand, view)
     return Point(-positive.x, -positive.y, -positive.z) if isinstance(positive, Point) else -as_real(positive)
 
 
-def _binary(node: ir.Binary, view: View) -> Value:
+def _binary(node: ir.Binary, view: StateView) -> Value:
     first, second = evaluate(node.left, view), evaluate(node.right, view)
     try:
         value = arithmetic(node.op, first, second)
@@ -192,7 +192,7 @@ def _binary(node: ir.Binary, view: View) -> Value:
         raise _fault(node, reason, node.proved and checked) from None
 
 
-def _contains(node: ir.Contains, view: View) -> Value:
+def _contains(node: ir.Contains, view: StateView) -> Value:
     if isinstance(node.values.type, MapOf):
         held = evaluate(node.values, view)
         return builtins.has_key(held, evaluate(node.item, view))
@@ -200,18 +200,18 @@ def _contains(node: ir.Contains, view: View) -> Value:
     return _guarded(node, lambda: builtins.contains(held, member))
 
 
-def _compare(node: ir.Compare, view: View) -> Value:
+def _compare(node: ir.Compare, view: StateView) -> Value:
     value = evaluate if node.left.type == STRING else operand  # comparing strings costs no turn
     left, right = value(node.left, view), value(node.right, view)
     return _guarded(node, lambda: compared(node.op, left, right))
 
 
-def _logic(node: ir.Logic, view: View) -> Value:
+def _logic(node: ir.Logic, view: StateView) -> Value:
     left = holds(node.left, view)
     return holds(node.right, view) if left == (node.op == "and") else left
 
 
-def _quantified(node: ir.Quantified, view: View) -> Value:
+def _quantified(node: ir.Quantified, view: StateView) -> Value:
     temps = dict(view.temps)
     within = view._replace(temps=temps)
 
@@ -225,30 +225,30 @@ def _quantified(node: ir.Quantified, view: View) -> Value:
     return all(truths()) if node.kind == "forall" else any(truths())
 
 
-def _range(node: ir.Range, view: View) -> Value:
+def _range(node: ir.Range, view: StateView) -> Value:
     raise InternalError("a range is not a value")
 
 
-def _field(node: ir.Field, view: View) -> Value:
+def _field(node: ir.Field, view: StateView) -> Value:
     whole = evaluate(node.operand, view)
     if isinstance(whole, RecordValue):
         return whole.fields[_place(node.operand, node.name)]
     return getattr(whole, node.name)  # type: ignore[no-any-return]
 
 
-def _at(node: ir.At, view: View) -> Value:
+def _at(node: ir.At, view: StateView) -> Value:
     xs, i = evaluate(node.operand, view), _number(node.index, view)
     return _guarded(node, lambda: builtins.element(xs, i), node.proved)
 
 
-def _slice(node: ir.Slice, view: View) -> Value:
+def _slice(node: ir.Slice, view: StateView) -> Value:
     xs = evaluate(node.operand, view)
     low, high = (None if bound is None else _number(bound, view) for bound in (node.start, node.stop))
     part = _guarded(node, lambda: builtins.part(xs, low, high), node.proved)
     return charged_for_making(part, view, node.span)  # type: ignore[type-var]
 
 
-def _with(node: ir.With, view: View) -> Value:
+def _with(node: ir.With, view: StateView) -> Value:
     whole, new = evaluate(node.operand, view), evaluate(node.value, view)
     place = _place(node.operand, node.name)
     if isinstance(whole, RecordValue):
@@ -256,7 +256,7 @@ def _with(node: ir.With, view: View) -> Value:
     return _put(items(whole), place, new)
 
 
-def _builtin(node: ir.Builtin, view: View) -> Value:
+def _builtin(node: ir.Builtin, view: StateView) -> Value:
     values = [_argument(node.name, arg, view) for arg in node.args]
     zero = 0.0 if node.type == FLOAT else 0
     if node.name in ("path_distance", "clear"):
@@ -269,7 +269,7 @@ def _builtin(node: ir.Builtin, view: View) -> Value:
     return charged_for_making(value, view, node.span) if node.name in builtins.MAKING else value  # type: ignore[type-var]
 
 
-def _argument(name: str, arg: ir.Expr, view: View) -> Value:
+def _argument(name: str, arg: ir.Expr, view: StateView) -> Value:
     if name in builtins.COMPARING:
         return operand(arg, view)
     value = evaluate(arg, view)
@@ -284,12 +284,12 @@ def _pairs(name: str, values: Sequence[Value]) -> int:
     return (len(items(values[0])) + 1) * sum([len(items(other)) + 1 for other in others])
 
 
-def _call(node: ir.Call | ir.ExternCall, view: View) -> Value:
+def _call(node: ir.Call | ir.ExternCall, view: StateView) -> Value:
     values = tuple([evaluate(arg, view) for arg in node.args])
     return _guarded(node, lambda: view.call(node.name, values))
 
 
-def _asked(node: ir.PortCall, view: View) -> Value:
+def _asked(node: ir.PortCall, view: StateView) -> Value:
     port, args = f"{node.module}.{node.port}", tuple([evaluate(arg, view) for arg in node.args])
     try:
         answer = view.ask(port, args)
@@ -318,11 +318,11 @@ def _fault(node: ir.Expr, reason: str, proved: bool) -> Exception:
     return Discarded(reason, node.span)
 
 
-def _number(node: ir.Expr, view: View) -> int:
+def _number(node: ir.Expr, view: StateView) -> int:
     return as_(int, evaluate(node, view))
 
 
-def _robot(node: ir.Expr, view: View) -> Robot:
+def _robot(node: ir.Expr, view: StateView) -> Robot:
     pid = _number(node, view)
     if not 0 <= pid < view.n_sys:
         raise Discarded(f"index {pid} names no robot (0 to {view.n_sys - 1})", node.span)
@@ -343,7 +343,7 @@ def _put(parts: tuple[Value, ...], place: int, value: Value) -> tuple[Value, ...
     return tuple([value if i == place else part for i, part in enumerate(parts)])
 
 
-def _made(node: ir.Make, view: View) -> Value:
+def _made(node: ir.Make, view: StateView) -> Value:
     parts = tuple([evaluate(part, view) for part in node.items])
     match node.type:
         case SequenceType("Set"):
@@ -364,7 +364,7 @@ def _made(node: ir.Make, view: View) -> Value:
 
 # Evaluator of each class of node. The table finds it in one look-up, while a `match` would test one class after the
 # other. Speed matters, because replaying a mission evaluates millions of nodes.
-MEANINGS: Mapping[type[Node], Callable[[Any, View], Value]] = {
+MEANINGS: Mapping[type[Node], Callable[[Any, StateView], Value]] = {
     ir.Const: lambda node, view: node.value,
     ir.Pid: lambda node, view: view.pid,
     ir.NSys: lambda node, view: view.n_sys,

@@ -14,7 +14,7 @@ from koordgen.lang.semantics.deadline import present
 from koordgen.lang.semantics.eval import (
     Call,
     Discarded,
-    View,
+    StateView,
     charged_for_making,
     counting,
     elements,
@@ -76,7 +76,7 @@ class Budget:
 
 def library(
     program: decl.Program, n_sys: int, params: Mapping[str, Value], world: World, budget: Budget, ask: Call
-) -> View:
+) -> StateView:
     """Return a View through which expressions call a program's functions; it contains no robot's state.
 
     Callers add the state of a robot or of the fleet to this View. `ask` answers calls of callable ports. A call of a
@@ -109,7 +109,7 @@ def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
     return world.externs[name](*args)
 
 
-def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: View, world: World) -> Value:
+def _extern(function: decl.ExternFunction, args: tuple[Value, ...], view: StateView, world: World) -> Value:
     """Call an extern function, a Python function. Raises ValueError if the function fails or breaks its contract."""
     name = function.name
     view = view._replace(temps={p.name: arg for p, arg in zip(function.parameters, args, strict=True)})
@@ -135,7 +135,7 @@ Exit = Literal["break", "continue", "return", "stop"] | None
 class Run:
     """One run of a block of statements, on private copies of the state in a View."""
 
-    def __init__(self, program: decl.Program, view: View, budget: Budget) -> None:
+    def __init__(self, program: decl.Program, view: StateView, budget: Budget) -> None:
         self.program = program
         self.budget = budget
         self.locals = dict(view.locals)
@@ -311,7 +311,7 @@ def declared(program: decl.Program) -> dict[str, Type]:
     return types
 
 
-def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) -> Writes | Discarded:
+def run(program: decl.Program, block: stmt.Block, view: StateView, budget: Budget) -> Writes | Discarded:
     """Run a block of statements on a robot's View. Returns its writes, or Discarded with the reason."""
     working = Run(program, view, budget)
     try:
@@ -321,7 +321,7 @@ def run(program: decl.Program, block: stmt.Block, view: View, budget: Budget) ->
     return working.writes(left == "stop")
 
 
-def constant(node: ir.Expr, view: View, type_: Type) -> Value:
+def constant(node: ir.Expr, view: StateView, type_: Type) -> Value:
     """Return the value of an initial-value expression.
 
     The checker has ensured that the value is of type `type_`; raises InternalError if it is not.

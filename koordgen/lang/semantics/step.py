@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir.ports import clears, held
-from koordgen.lang.semantics.eval import Discarded, View, evaluate, holds
+from koordgen.lang.semantics.eval import Discarded, StateView, evaluate, holds
 from koordgen.lang.semantics.exec import Budget, Writes, constant, library, run
 from koordgen.lang.semantics.state import NOTHING, Robot, State, Store, World, nobody
 from koordgen.lang.semantics.values import RecordValue, Value, default
@@ -187,7 +187,7 @@ def _all_applied(program: decl.Program, state: State, steps: Sequence[Step]) -> 
     return state
 
 
-def _view(program: decl.Program, state: State, pid: int, world: World, budget: Budget) -> View:
+def _view(program: decl.Program, state: State, pid: int, world: World, budget: Budget) -> StateView:
     robot, store, n_sys = state.robots[pid], state.store, len(state.robots)
 
     def ask(port: str, args: tuple[Value, ...]) -> Value:

@@ -25,7 +25,7 @@ class ErrorSite:
         while tokens[end][0] not in _ENDS:
             end += 1
         self.head = tokens[self.start : position]  # tokens of the logical line before the rejected one
-        self.rest = tokens[position + 1 : end]  # tokens of the logical line after the rejected one
+        self.following = tokens[position + 1 : end]  # tokens of the logical line after the rejected one
         self.first = tokens[self.start]
         self.next = tokens[position + 1][0] if position + 1 < len(tokens) else "$END"
 
@@ -72,7 +72,7 @@ class ErrorSite:
     def touched_by(self, kind: str) -> bool:
         """Return whether the next token has this type, without a space between."""
         end = _end(self.tokens[self.position])
-        return bool(self.rest) and self.rest[0][0] == kind and self.rest[0][2:4] == end
+        return bool(self.following) and self.following[0][0] == kind and self.following[0][2:4] == end
 
     def level(self) -> int:
         """Return the number of blocks around the line."""

@@ -155,7 +155,7 @@ def _brackets(site: ErrorSite) -> Diagnostic | None:
     if bracket == "[" and site.kind == "," and "]" in site.expected:
         return site.error("expected ']', found ','", "write several indices as x[i][j]")
     if site.kind == "(" and site.before_is("for"):
-        names = any(token[0] == "in" for token in site.rest)
+        names = any(token[0] == "in" for token in site.following)
         help = "write the names without brackets: for a, b in pairs:" if names else "write 'for i in range(a, b):'"
         return site.error("expected a name after 'for', found '('", help)
     if site.kind in ("*", "**") and bracket == "(" and site.wants_expression:
@@ -170,15 +170,15 @@ def _lists_of_names(site: ErrorSite) -> Diagnostic | None:
     if site.expected & {"pre", "eff"} or (site.level() == 0 and site.first[0] == "NAME" and site.start == 0):
         return None
     if "+=" in site.expected:
-        if any(token[0] == "=" for token in site.rest):
+        if any(token[0] == "=" for token in site.following):
             help = (
                 "assign the pair to a variable and read its items p[0], p[1]; only 'for a, b in pairs:' unpacks pairs"
             )
-            return site.error("an assignment has one target", help, place(site.first, site.rest[-1]))
+            return site.error("an assignment has one target", help, place(site.first, site.following[-1]))
         return site.error("expected one expression, found ','", "write a tuple in brackets: (a, b)")
     if "NEWLINE" not in site.expected:
         return None
-    if "+" not in site.expected or any(token[0] == "=" for token in site.rest):
+    if "+" not in site.expected or any(token[0] == "=" for token in site.following):
         return site.error("declare each name on its own line", "write its type and name on the next line")
     return site.error("expected one value, found ','", "write a tuple in brackets: (a, b)")
 
@@ -228,16 +228,16 @@ def _types(site: ErrorSite) -> Diagnostic | None:
 def _annotation(site: ErrorSite) -> Diagnostic | None:
     """Report a type after the name: `k: int = 3`."""
     name = site.before
-    if site.kind != ":" or name is None or name[0] != "NAME" or not site.rest:
+    if site.kind != ":" or name is None or name[0] != "NAME" or not site.following:
         return None
     if name is not site.first and site.head[-2][0] != ":":
         return None
-    kind, text = site.rest[0][:2]
+    kind, text = site.following[0][:2]
     if kind != "GENERIC" and text not in _TYPES and text not in ("str", *_HOLDERS):
         return None
     type_ = f"{text}<...>" if kind == "GENERIC" else text
     return site.error(
-        "the type must come before the name", f"write '{type_} {shown(name[1])}'", place(name, site.rest[0])
+        "the type must come before the name", f"write '{type_} {shown(name[1])}'", place(name, site.following[0])
     )
 
 

@@ -110,7 +110,7 @@ def _marks(site: ErrorSite) -> Diagnostic | None:
         if doubled and (site.ends or site.kind == ")"):
             return _step(site, mark, head[-3][1] if len(head) == 3 and head[-3][0] == "NAME" else "x")
         if site.kind == mark and site.touched_by(mark):
-            operand = site.rest[1][1] if len(site.rest) > 1 and site.rest[1][0] == "NAME" else "x"
+            operand = site.following[1][1] if len(site.following) > 1 and site.following[1][0] == "NAME" else "x"
             return _step(site, mark, operand)
         if site.kind == mark == "+" and site.touches("+"):
             operand = head[0][1] if len(head) == 2 and head[0][0] == "NAME" else "x"

@@ -109,11 +109,11 @@ def _colon(site: ErrorSite) -> Diagnostic | None:
     """Report a header without a colon."""
     if ":" not in site.expected or site.bracket:
         return None
-    if site.expected != {":"} and any(token[0] == ":" for token in site.rest):
+    if site.expected != {":"} and any(token[0] == ":" for token in site.following):
         return None  # the colon exists, so the error is something before it
     span = column_after(site.before) if site.before is not None else site.span
     help = ""
-    header = site.tokens[-1] if site.ends else (site.rest or [site.first])[-1]
+    header = site.tokens[-1] if site.ends else (site.following or [site.first])[-1]
     deeper = any(token[0] == "INDENT" for token in site.tokens[: site.position + 2])
     if site.start == 0 and site.first[0] == "NAME" and header[0] != ":" and not deeper:
         help = _margin_help(site)

@@ -12,7 +12,7 @@ from pathlib import Path
 from .deployment import Boot, Deployment
 from .folder import Folder, ToolError
 
-_SURROUNDINGS = 5  # exit status after an OSError; the supervisor or systemd starts such a process again
+_SURROUNDINGS = 5  # exit status after an OSError; the supervisor or systemd then starts the process again
 _IDLE = 30.0  # seconds without a request after which a session ends
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 

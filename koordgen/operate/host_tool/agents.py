@@ -21,15 +21,16 @@ from .folder import Folder, ToolError, checked_robot, make_folder, read_json
 from .lock import deciding, is_locked, try_lock
 from .releases import Release
 
-_TIME_FOR_STATUS = 30.0  # seconds after which a bundle's --status is ended; it waits 2 s for the agent's answer
+# seconds after which a bundle's --status is ended; --status itself waits 2 s for the agent's answer
+_TIME_FOR_STATUS = 30.0
 
 
 class Found(NamedTuple):
     """State of one robot's agent.
 
-    running: whether an agent of the robot runs.
-    phase: phase that it reports; None if nothing answers at its control port.
-    pid: its process id; None if unknown.
+    running: True if an agent of the robot runs.
+    phase: phase that the agent reports; None if no agent answers at the control port.
+    pid: the agent's process id; None if unknown.
     """
 
     running: bool
@@ -68,9 +69,9 @@ def pid_in(path: Path) -> int | None:
 
 
 def look(folder: Folder, known: Sequence[Release], ask: bool = True) -> dict[str, Found]:
-    """Return the states of agents, for all robots of the releases `known` or with a lock file here.
+    """Return the agents' states, for all robots that a release in `known` or a lock file names.
 
-    ask: request the phase from the agent as well, with the bundle in the first release that has the robot.
+    ask: also request each agent's phase, by the bundle in the first release that has the robot.
     """
     of_release: dict[str, Release] = {}
     for release in known:
@@ -133,7 +134,7 @@ def _has_control_port(folder: Folder, release: Release | None, robot: str, used:
 def control_place(folder: Folder, release: Release, robot: str) -> tuple[str, int] | None:
     """Return the address and UDP port of a robot's control port.
 
-    The address is empty if it is a host name.
+    The address is empty if the settings contain a host name instead.
 
     The port is chosen as by `Settings.control_port` in the bundle's runtime.
     """
@@ -163,13 +164,14 @@ def _used_udp() -> set[tuple[str, int]]:
 
 
 def launch(folder: Folder, deployment: Deployment, robot: str) -> None:
-    """Replace this process by the agent of `robot`, in the release that may run. Raises ToolError.
+    """Replace this process by the agent of `robot`, from the confirmed release. Raises ToolError.
 
     The lock file stays open across exec, so the agent's process holds the lock until it ends.
     """
     path = lock_file(folder, robot)
     with deciding(folder):
-        with suppress(OSError):  # a confirmed release must run even if the disk is full or read-only
+        # ignore disk errors: a confirmed release must run even if the disk is full or read-only
+        with suppress(OSError):
             deployment.repair()
         release = releases.read_release(folder, deployment.runnable())
         if robot not in release.robots:
@@ -178,7 +180,7 @@ def launch(folder: Folder, deployment: Deployment, robot: str) -> None:
         make_folder(folder.running)
         file = try_lock(path)
         if file is None:
-            raise ToolError("running", f"robot {robot}: its agent runs already, process {pid_in(path)}")
+            raise ToolError("running", f"robot {robot}: its agent runs already as process {pid_in(path)}")
         write_pid(file)
         os.set_inheritable(file, True)
         os.execve(wanted[0], wanted, releases.environment(folder))

@@ -18,7 +18,7 @@ from typing import Any
 from . import releases
 from .folder import Folder, ToolError, checked_release, read_json, sync_folder, write_json
 
-_KEPT = 3  # number of confirmed releases that a host keeps, for rollback
+_KEPT = 3  # number of confirmed releases that a host keeps for rollbacks
 
 
 class Boot:
@@ -49,7 +49,7 @@ class Deployment:
             return {"confirmed": None, "history": [], "pending": None}
         found = read_json(path)
         if not isinstance(found, dict) or not {"confirmed", "history", "pending"} <= found.keys():
-            raise ToolError("damaged", f"{path} is damaged", "move it away, then deploy again")
+            raise ToolError("damaged", f"{path} is damaged", "move the file away, then deploy again")
         return found
 
     def current(self) -> str | None:
@@ -70,12 +70,12 @@ class Deployment:
             left = pending["deadline"] - self._boot.now()
             raise ToolError(
                 "unconfirmed",
-                f"release {pending['id']} waits for its confirmation; without it this host returns to "
-                f"{confirmed or 'having none'} in {left:.0f} s",
-                "wait, or deploy again",
+                f"release {pending['id']} waits for its confirmation; without confirmation this host returns to "
+                f"{confirmed or 'having no release'} in {left:.0f} s",
+                "wait for the confirmation, or deploy again",
             )
         if confirmed is None:
-            raise ToolError("unconfirmed", "no release was confirmed on this host", "deploy one")
+            raise ToolError("unconfirmed", "no release was confirmed on this host", "deploy a release")
         return str(confirmed)
 
     def repair(self) -> None:
@@ -116,7 +116,7 @@ class Deployment:
     def prepare(self, release: str) -> None:
         """Phase one: check that this host can confirm `release`, and record that.
 
-        The first call extends the deadline by the time that was given at the switch.
+        The first call extends the deadline by the number of seconds that `switch` received.
         """
         state, pending = self._pending(release)
         releases.read_release(self._folder, release, candidate=True)
@@ -137,18 +137,19 @@ class Deployment:
         with self._folder.room():
             releases.accept(self._folder, release)
             self._write({"confirmed": release, "history": history[-_KEPT:], "pending": None})
-        with suppress(OSError, ToolError):  # the release is confirmed; files that remain are removed the next time
+        # the release is confirmed; a later confirmation removes the files that remain
+        with suppress(OSError, ToolError):
             releases.prune(self._folder, history[-_KEPT:])
 
     def revert(self, release: str) -> bool:
-        """Revert the pending release `release`; return whether it was pending."""
+        """Revert `release` if it is pending; return whether it was pending."""
         state = self.read()
         pending = state["pending"]
         if pending is not None and pending["id"] == checked_release(release):
             self._return(state)
             return True
         if state["confirmed"] == release:
-            raise ToolError("confirmed", f"release {release} is confirmed", "roll back to another one instead")
+            raise ToolError("confirmed", f"release {release} is confirmed", "roll back to another release instead")
         self.repair()
         return False
 
@@ -157,7 +158,7 @@ class Deployment:
         state = self.read()
         pending = state["pending"]
         if pending is None or pending["id"] != release:
-            raise ToolError("expired", f"release {release} does not wait for a confirmation here", "deploy it again")
+            raise ToolError("expired", f"release {release} is not pending on this host", "deploy it again")
         if self.has_expired(pending) or self.current() != release:
             self.repair()
             raise ToolError("expired", f"release {release} was not confirmed in time", "deploy it again")

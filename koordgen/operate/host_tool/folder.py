@@ -13,9 +13,9 @@ from hashlib import blake2s, sha256
 from pathlib import Path
 from typing import Any
 
-RESERVE = 64 * 1024 * 1024  # bytes of the disk that a deployment leaves free
-SMALL = 1024 * 1024  # bytes that must be free for a request that writes only small files
-PIECE = 1024 * 1024  # bytes that are read at once
+RESERVE = 64 * 1024 * 1024  # number of bytes that a deployment leaves free on the disk
+SMALL = 1024 * 1024  # number of free bytes that a request needs if it writes only small files
+PIECE = 1024 * 1024  # number of bytes that are read in one call
 
 _ROBOT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _RELEASE = re.compile(r"[0-9a-f]{16}")
@@ -26,7 +26,7 @@ _PART = re.compile(r"[A-Za-z0-9_.@+,=-][A-Za-z0-9_.@+,= -]{0,254}")
 
 
 class ToolError(Exception):
-    """The tool refuses a request.
+    """Raised if the tool refuses a request.
 
     code: identifies the error for programs.
     message: describes the error for users.
@@ -73,7 +73,7 @@ class Folder:
         return self.venvs / checked(_DIGEST, digest, "a digest of packages has 16 to 64 hex digits")
 
     def wheel(self, name: str) -> Path:
-        return self.wheels / checked(_WHEEL, name, "a wheel is a file name that ends in .whl")
+        return self.wheels / checked(_WHEEL, name, "a wheel's name must be a file name that ends in .whl")
 
     def object(self, digest: str) -> Path:
         return self.objects / checked_sha256(digest)
@@ -88,7 +88,7 @@ class Folder:
         return self.logs / f"{checked_robot(robot)}.log"
 
     def free(self) -> int:
-        """Return the number of bytes that this user may still write to the disk."""
+        """Return how many bytes this user may still write to the disk."""
         return shutil.disk_usage(self.root).free
 
     @contextmanager
@@ -117,7 +117,7 @@ class Folder:
 
 
 def checked(pattern: re.Pattern[str], value: Any, rule: str) -> str:
-    """Return `value` if it is a string that matches `pattern`; else raise ToolError with the text `rule`."""
+    """Return `value` if it is a string that matches `pattern`; else raise ToolError with `rule`."""
     if not isinstance(value, str) or not pattern.fullmatch(value):
         raise ToolError("bad request", f"{value!r}: {rule}")
     return value
@@ -126,7 +126,7 @@ def checked(pattern: re.Pattern[str], value: Any, rule: str) -> str:
 def checked_robot(name: Any) -> str:
     if name in ("fleet", "state"):
         raise ToolError("bad request", f"{name!r}: no robot has this name")
-    return checked(_ROBOT, name, "a robot's name has lower-case letters, digits, _ and -, at most 32")
+    return checked(_ROBOT, name, "a robot's name has at most 32 characters: lower-case letters, digits, _ and -")
 
 
 def checked_release(release: Any) -> str:
@@ -181,7 +181,7 @@ def sync_folder(path: Path) -> None:
 
 
 def write_file(path: Path, content: bytes, mode: int = 0o644) -> None:
-    """Replace a file atomically: even after a loss of power it has its old content or all of `content`."""
+    """Replace a file atomically. After a power loss it has either its old content or all of `content`."""
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, mode), "wb") as file:

@@ -69,7 +69,7 @@ def libc() -> list[str]:
 def temperature() -> float | None:
     """Return the temperature of the hottest thermal zone in degrees Celsius.
 
-    None if the kernel reports none.
+    Returns None if the kernel reports no temperature.
     """
     found = []
     for path in Path("/sys/class/thermal").glob("thermal_zone*/temp"):

@@ -17,17 +17,17 @@ from typing import Any
 
 from .folder import Folder, ToolError, read_json, write_json
 
-_PATIENCE = 60.0  # seconds to wait until another process leaves the critical section
-_PROBED = 0.3  # seconds to retry a lock, because `is_locked` of another process may hold it for some microseconds
+_LOCK_TIMEOUT = 60.0  # longest wait for another process to leave the critical section, in seconds
+_PROBED = 0.3  # seconds to retry a lock; `is_locked` of another process may hold the lock for some microseconds
 
 
-def try_lock(path: Path, patience: float = _PROBED) -> int | None:
+def try_lock(path: Path, timeout: float = _PROBED) -> int | None:
     """Lock `path` and return the open file, which holds the lock until it is closed.
 
-    Returns None if another process still holds the lock after `patience` seconds.
+    Returns None if another process still holds the lock after `timeout` seconds.
     """
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    end = time.monotonic() + patience
+    end = time.monotonic() + timeout
     try:
         while True:
             try:
@@ -63,9 +63,11 @@ def is_locked(path: Path) -> bool:
 @contextmanager
 def deciding(folder: Folder) -> Iterator[None]:
     """Critical section for changes of `deployment.json` and starts of agents. Raises ToolError "busy"."""
-    file = try_lock(folder.deployment_lock, _PATIENCE)
+    file = try_lock(folder.deployment_lock, _LOCK_TIMEOUT)
     if file is None:
-        raise ToolError("busy", f"another process has worked in {folder.root} for {_PATIENCE:.0f} s", "try again")
+        raise ToolError(
+            "busy", f"another process has worked in {folder.root} for {_LOCK_TIMEOUT:.0f} s", "try again later"
+        )
     try:
         yield
     finally:
@@ -73,7 +75,7 @@ def deciding(folder: Folder) -> Iterator[None]:
 
 
 class SessionLock:
-    """Lock of one session on the whole folder. The file `lock.json` names its owner for messages."""
+    """Lock of one session on the whole folder. The file `lock.json` names the lock's owner, for messages."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
@@ -83,7 +85,7 @@ class SessionLock:
     def held(self) -> bool:
         return self._file is not None
 
-    def take(self, owner: str, what: str) -> None:
+    def acquire(self, owner: str, what: str) -> None:
         """Acquire the lock. Raises ToolError "locked", which names the present owner and the lock's age."""
         if self._file is None:
             self._file = try_lock(self._folder.lock)
@@ -94,7 +96,7 @@ class SessionLock:
                 "locked",
                 f"{other.get('owner', 'somebody')} works here since {age:.0f} s "
                 f"({other.get('what', 'not known what')}, process {other.get('pid', 'unknown')})",
-                "wait until that command has ended; its lock ends with it",
+                "wait until the other command has ended, which releases the lock",
             )
         try:
             write_json(

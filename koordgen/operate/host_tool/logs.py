@@ -15,15 +15,15 @@ from typing import Any, TextIO
 from .folder import Folder, ToolError, checked_path
 
 _PART = 4_000_000  # size in bytes at which a log file is rotated
-_PARTS = 4  # number of files that one robot's log has at most; the oldest one is deleted
-_LONGEST = 4000  # characters after which a line is cut
+_PARTS = 4  # largest number of log files of one robot; a rotation deletes the oldest file
+_LONGEST = 4000  # longest line in characters; the rest of a longer line is dropped
 MOST_LINES = 5000  # largest number of log lines in one answer
-_MOST_BYTES = 16 * 1024 * 1024  # largest number of a trace file's bytes in one answer
+_MOST_BYTES = 16 * 1024 * 1024  # largest part of a trace file in one answer, in bytes
 
 Line = tuple[float, str]
 
 
-class Log:
+class AgentLog:
     """Log of one robot. Each line begins with its Unix time; times increase.
 
     If the disk is full, lines are lost, and their number is logged later. No exception is raised.
@@ -76,14 +76,14 @@ def read_log(path: Path) -> Iterator[Line]:
         with suppress(FileNotFoundError), _part(path, number).open(encoding="utf-8", errors="replace") as file:
             for line in file:
                 stamp, _, text = line.rstrip("\n").partition(" ")
-                with suppress(ValueError):  # skip a line without its time, cut because the disk was full
+                with suppress(ValueError):  # skip a line without a time: it was cut because the disk was full
                     yield float(stamp), text
 
 
 def selected(lines: Iterable[Line], most: int, since: float | None) -> dict[str, Any]:
     """Return up to `most` log lines: the first ones after Unix time `since`, or the last ones if None.
 
-    `next` in the result is the value of `since` that requests the lines that follow.
+    To request the lines that follow, pass the result's `next` as `since`.
     """
     most = max(0, min(most, MOST_LINES))
     if since is None:
@@ -107,29 +107,30 @@ def traces(folder: Folder, robot: Any) -> list[dict[str, Any]]:
 class Fetching:
     """Reader of trace files in pieces.
 
-    It keeps a file open between pieces, so it can be renamed meanwhile.
+    A file stays open between two pieces, so the reader can go on after the file was renamed.
     """
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._next: tuple[Path, int] | None = None  # the open file, and the offset after the last piece
+        # the open trace file, and the offset after the piece that was read last
+        self._next: tuple[Path, int] | None = None
         self._file = -1
 
     def fetch(self, robot: Any, name: Any, offset: int, length: int) -> bytes:
         """Return up to `length` bytes of a robot's trace file, from `offset` on.
 
-        The file is opened again unless the request continues the previous one.
+        The file is opened again unless the request continues the previous request.
         """
         place = self._folder.trace_folder(robot)
         path = place / checked_path(name)
         if path.parent != place or offset < 0 or length < 0:
-            raise ToolError("bad request", f"{name!r}, from {offset}: not a part of a file that `traces` lists")
+            raise ToolError("bad request", f"{name!r}, byte {offset}: this is not in a file that `traces` lists")
         if (path, offset) != self._next:
             self.close()
             try:
                 self._file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
             except OSError as error:
-                raise ToolError("missing", f"{name}: {error.strerror}", "ask for the list of traces again") from None
+                raise ToolError("missing", f"{name}: {error.strerror}", "request the list of traces again") from None
         data = os.pread(self._file, min(length, _MOST_BYTES), offset)
         self._next = (path, offset + len(data))
         return data

@@ -45,7 +45,7 @@ def store(folder: Folder, kind: str, entries: Sequence[Any], pieces: Iterable[by
         make_folder(folder.objects if kind == "objects" else folder.wheels)
         contents = _Contents(pieces)
         for path, digest, size in places:
-            _store_one(path, digest, contents.take(size))
+            _store_one(path, digest, contents.next_file(size))
         contents.finish()
         if places:
             sync_folder(places[0][0].parent)
@@ -54,13 +54,13 @@ def store(folder: Folder, kind: str, entries: Sequence[Any], pieces: Iterable[by
 
 def _place(folder: Folder, kind: str, entry: Any) -> tuple[Path, str, int]:
     if not isinstance(entry, list) or len(entry) != 3 or not isinstance(entry[2], int) or entry[2] < 0:
-        raise ToolError("bad request", f"{entry!r}: an entry is [name, SHA-256, size]")
+        raise ToolError("bad request", f"{entry!r}: an entry must be [name, SHA-256, size]")
     name, digest, size = entry
     if kind == "objects" and name == checked_sha256(digest):
         return folder.object(name), digest, size
     if kind == "wheels":
         return folder.wheel(name), checked_sha256(digest), size
-    raise ToolError("bad request", f"kind {kind!r}, name {name!r}: not an object and not a wheel")
+    raise ToolError("bad request", f"kind {kind!r}, name {name!r}: neither an object nor a wheel")
 
 
 def _store_one(path: Path, digest: str, pieces: Iterator[bytes]) -> None:
@@ -75,7 +75,7 @@ def _store_one(path: Path, digest: str, pieces: Iterator[bytes]) -> None:
             os.fchmod(file.fileno(), _READ_ONLY)
             os.fsync(file.fileno())
         if found.hexdigest() != digest:
-            raise ToolError("damaged", f"{path.name}: the content that arrived has another SHA-256", "try again")
+            raise ToolError("damaged", f"{path.name}: the received content has another SHA-256", "try again")
         os.replace(beside, path)
     except BaseException:
         with suppress(OSError):
@@ -91,21 +91,21 @@ class _Contents:
         self._inflate = zlib.decompressobj()
         self._input = b""
 
-    def take(self, size: int) -> Iterator[bytes]:
+    def next_file(self, size: int) -> Iterator[bytes]:
         while size:
             piece = self._more(min(size, PIECE))
             if not piece:
-                raise ToolError("damaged", "the data that arrived are shorter than announced", "try again")
+                raise ToolError("damaged", "the received data are shorter than announced", "try again")
             size -= len(piece)
             yield piece
 
     def finish(self) -> None:
-        """Raise ToolError if data remain, or the compressed stream is incomplete."""
+        """Raise ToolError if data remain, or if the compressed stream is incomplete."""
         if self._more(1) or not self._inflate.eof:
-            raise ToolError("damaged", "the data that arrived are longer than announced, or cut", "try again")
+            raise ToolError("damaged", "the received data are longer than announced, or incomplete", "try again")
 
     def _more(self, most: int) -> bytes:
-        """Return up to `most` decompressed bytes; no bytes at the end of the data."""
+        """Return up to `most` decompressed bytes; returns no bytes after the end of the data."""
         try:
             while not self._inflate.eof:
                 if not self._input and (piece := next(self._pieces, b"")):
@@ -117,7 +117,7 @@ class _Contents:
                 if found:
                     return found
         except zlib.error as error:
-            raise ToolError("damaged", f"the data that arrived cannot be decompressed: {error}", "try again") from None
+            raise ToolError("damaged", f"the received data cannot be decompressed: {error}", "try again") from None
         return b""
 
 
@@ -134,7 +134,7 @@ def link(folder: Folder, digest: str, executable: bool, path: Path) -> None:
         os.link(source, beside)
         os.replace(beside, path)
     except FileNotFoundError:
-        raise ToolError("missing", f"object {digest} is not here", "store it first") from None
+        raise ToolError("missing", f"object {digest} is not on this host", "store it first") from None
     finally:
         with suppress(OSError):
             beside.unlink()  # os.replace does not remove the source if both are links to the same file
@@ -155,7 +155,7 @@ def _pieces(path: Path) -> Iterator[bytes]:
 
 
 def prune(folder: Folder) -> None:
-    """Remove objects without a link from a release, and incomplete files of processes that were killed."""
+    """Remove objects to which no release links, and incomplete files of killed processes."""
     if not folder.objects.is_dir():
         return
     for path in folder.objects.iterdir():

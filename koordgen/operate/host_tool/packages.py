@@ -10,9 +10,9 @@ from pathlib import Path
 
 from .folder import RESERVE, Folder, ToolError, make_folder, read_json, remove_tree, write_file, write_json
 
-_GROWTH = 5  # upper bound of installed size divided by wheel size; modules that Python compiles are included
-_TIME = 1800.0  # seconds for one command: a small computer may have to unpack hundreds of megabytes
-_COMPLETE = "wheels.json"  # list of an environment's wheels; written last, so it marks a complete environment
+_GROWTH = 5  # upper bound of an installed package's size, with its compiled modules, divided by the size of its wheel
+_TIME = 1800.0  # time limit of one command in seconds: a small computer may have to unpack hundreds of megabytes
+_COMPLETE = "wheels.json"  # list of an environment's wheels, written last: it marks a complete environment
 
 
 def make(folder: Folder, digest: str, requirements: str, wheels: Sequence[str]) -> bool:
@@ -26,10 +26,10 @@ def make(folder: Folder, digest: str, requirements: str, wheels: Sequence[str]) 
         return False
     absent = [path.name for path in paths if not path.exists()]
     if absent:
-        raise ToolError("missing", f"wheels are not here: {', '.join(absent)}", "store them first")
+        raise ToolError("missing", f"wheels are missing on this host: {', '.join(absent)}", "store them first")
     pip = next((path for path in paths if path.name.startswith("pip-")), None)
     if pip is None:
-        raise ToolError("bad request", "none of the wheels is pip's")
+        raise ToolError("bad request", "the wheels contain no wheel of pip")
     with folder.room(_GROWTH * sum(path.stat().st_size for path in paths) + RESERVE):
         make_folder(folder.venvs)
         remove_tree(place)
@@ -50,7 +50,8 @@ def wheels_of(place: Path) -> list[str]:
 
 def _fill(place: Path, pip: Path, requirements: str, wheels: Sequence[Path]) -> None:
     _run([sys.executable, "-I", "-m", "venv", "--without-pip", str(place)])
-    source = place / "wheels"  # has only the wheels of this environment, so that pip can find no others
+    # this folder contains only the wheels of this environment, so pip cannot find other wheels
+    source = place / "wheels"
     source.mkdir()
     for path in wheels:
         os.link(path, source / path.name)
@@ -69,7 +70,7 @@ def _run(command: Sequence[str]) -> None:
             command, env=kept, timeout=_TIME, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace"
         )
     except subprocess.TimeoutExpired:
-        raise ToolError("packages", f"the packages are not installed after {_TIME:.0f} s", "try again") from None
+        raise ToolError("packages", f"the packages are still not installed after {_TIME:.0f} s", "try again") from None
     if done.returncode:
         said = (done.stderr or done.stdout).strip()
         if "No space left on device" in said:

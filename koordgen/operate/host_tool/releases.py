@@ -36,7 +36,7 @@ from .folder import (
     write_json,
 )
 
-_TIME_FOR_HELP = 120.0  # seconds for a bundle's --help, which imports all modules of the bundle
+_TIME_FOR_HELP = 120.0  # time limit in seconds for a bundle's --help, which imports all modules of the bundle
 _FILES, _RELEASE, _NEXT = "files.json", "release.json", "next.json"
 
 
@@ -60,9 +60,9 @@ class Release(NamedTuple):
 
 
 def read_release(folder: Folder, release: str, candidate: bool = False) -> Release:
-    """Return a release on this host.
+    """Return the release with this id. Raises ToolError if it is not on this host.
 
-    `candidate`: with its `next.json`, which confirmation will put in force.
+    `candidate`: True to read `next.json`, if it exists, instead of `release.json`.
     """
     place = folder.release(release)
     found = read_json(place / _NEXT) if candidate else None
@@ -73,7 +73,7 @@ def read_release(folder: Folder, release: str, candidate: bool = False) -> Relea
 
 
 def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
-    """Return the releases of `ids` that are on this host, with their `next.json` if they have one."""
+    """Return those releases of `ids` that are on this host, each with its `next.json` if it has one."""
     found = []
     for release in ids:
         with suppress(ToolError):
@@ -82,7 +82,7 @@ def readable(folder: Folder, ids: Iterable[str | None]) -> list[Release]:
 
 
 def builds(folder: Folder, release: str | None) -> dict[str, str]:
-    """Return robot -> build name in its bundle, for a release; agents compare build names with each other.
+    """Return robot -> build name, as in the robot's bundle of a release. Agents compare build names.
 
     The result is empty if `release` is None or not on this host.
     """
@@ -97,7 +97,7 @@ def builds(folder: Folder, release: str | None) -> dict[str, str]:
 def source(folder: Folder, release: str, robot: str) -> dict[str, str]:
     """Return the source files in a robot's bundle, by name: program, params, extern functions.
 
-    They are needed to replay the robot's traces.
+    A replay of the robot's traces needs these files.
     """
     bundle = folder.bundle(checked_release(release), checked_robot(robot))
     found = [*bundle.glob("*.koord"), *bundle.glob("*_functions.py"), *bundle.glob("params.json")]
@@ -113,12 +113,12 @@ def describe(folder: Folder, release: str) -> dict[str, Any]:
 
 def parse_release(folder: Folder, document: Any) -> Release:
     if not isinstance(document, dict) or not isinstance(document.get("robots"), dict):
-        raise ToolError("bad request", "a release is an object with `id`, `robots`, `key`, `venv`, `service`, `python`")
+        raise ToolError("bad request", "a release must be an object with a `robots` object")
     texts = {name: document.get(name) or "" for name in ("key", "venv", "python", "service")}
     if not all(isinstance(text, str) for text in texts.values()) or "\0" in texts["python"]:
-        raise ToolError("bad request", "a release's `key`, `venv`, `service` and `python` are texts")
+        raise ToolError("bad request", "`key`, `venv`, `service` and `python` of a release must be strings")
     if texts["service"] not in ("systemd", "none"):
-        raise ToolError("bad request", f"service {texts['service']!r}: it is systemd or none")
+        raise ToolError("bad request", f"service {texts['service']!r}: systemd or none is expected")
     release = Release(
         checked_release(document.get("id")),
         tuple(sorted(checked_robot(name) for name in document["robots"])),
@@ -139,7 +139,7 @@ def interpreter(folder: Folder, release: Release) -> str:
     wanted = str(folder.venv(release.venv) / "bin" / "python") if release.venv else release.python
     found = shutil.which(wanted)
     if found is None:
-        raise ToolError("no python", f"{wanted}: no such interpreter on this host", "check `python` in the fleet file")
+        raise ToolError("no python", f"{wanted}: no such interpreter on this host", "set `python` in the fleet file")
     return os.path.abspath(found)
 
 
@@ -161,7 +161,7 @@ def environment(folder: Folder) -> dict[str, str]:
 def run(folder: Folder, release: Release, robot: str, *options: str, seconds: float) -> tuple[int, str, str]:
     """Run a bundle until it ends; return its exit status, standard output and standard error.
 
-    Status 124: it did not end within `seconds`. Status 126: it could not be started.
+    Status 124: the bundle did not end within `seconds`. Status 126: the bundle could not be started.
     """
     try:
         done = subprocess.run(
@@ -203,9 +203,9 @@ def stage(folder: Folder, document: Any, files: Mapping[str, Mapping[str, Sequen
 
 
 def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mapping[str, Any]]) -> None:
-    """Link compiled modules of the current release into a new one, for files that are equal in both.
+    """Link compiled modules of the current release into a new release, for files that are equal.
 
-    This saves most of the time that the first load of a bundle would take.
+    The links save most of the time that the first load of a bundle would take.
     """
     with suppress(OSError):
         current = folder.releases / Path(os.readlink(folder.current)).name
@@ -222,7 +222,7 @@ def _link_compiled(folder: Folder, release: Release, wanted: Mapping[str, Mappin
 
 
 def _complete(folder: Folder, place: Path, document: Any, wanted: dict[str, dict[str, Any]]) -> None:
-    """Stage an existing release again: add bundles of robots new on this host, and repair damaged files."""
+    """Stage an existing release again: add bundles of new robots, and repair damaged files."""
     _fill(folder, place, wanted)
     write_json(place / _FILES, (read_json(place / _FILES) or {}) | wanted)
     release = parse_release(folder, document)
@@ -235,7 +235,7 @@ def _complete(folder: Folder, place: Path, document: Any, wanted: dict[str, dict
 
 def _wanted(release: Release, files: Any) -> dict[str, dict[str, Any]]:
     if not isinstance(files, dict) or tuple(sorted(files)) != release.robots:
-        raise ToolError("bad request", "`files` and the release name different robots")
+        raise ToolError("bad request", "the request's `files` and `release` name different robots")
     wanted: dict[str, dict[str, Any]] = {}
     for robot, bundle in files.items():
         if not isinstance(bundle, dict) or "__main__.py" not in bundle:
@@ -243,7 +243,7 @@ def _wanted(release: Release, files: Any) -> dict[str, dict[str, Any]]:
         wanted[robot] = {}
         for path, entry in bundle.items():
             if not isinstance(entry, list) or len(entry) != 2 or not isinstance(entry[1], int):
-                raise ToolError("bad request", f"robot {robot}, {path!r}: a file is [SHA-256, mode]")
+                raise ToolError("bad request", f"robot {robot}, {path!r}: a file's entry must be [SHA-256, mode]")
             wanted[robot][checked_path(path)] = [checked_sha256(entry[0]), entry[1]]
     return wanted
 
@@ -274,7 +274,7 @@ def _folders_of(bundle: Path, files: Mapping[str, Any]) -> set[Path]:
 
 
 def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
-    """Return the files and folders in a bundle's folder that are not part of the bundle."""
+    """Return the files and folders in a bundle's folder that do not belong to the bundle."""
     wanted, folders = {bundle / path for path in files}, _folders_of(bundle, files)
     found = []
     for here, subfolders, names in os.walk(bundle):
@@ -288,7 +288,7 @@ def _extra(bundle: Path, files: Mapping[str, Any]) -> list[Path]:
 def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
     """Write the settings that override each bundle's own settings on this host.
 
-    They place traces, the state and the key outside of the release, because a release never changes.
+    The settings place traces, the state and the key outside of the release, because a release never changes.
     """
     for robot in release.robots:
         path = folder.overlay(release.id, robot)
@@ -298,7 +298,7 @@ def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
         if release.key:
             overlay["key_file"] = str(folder.key(release.key))
         elif not (read_json(place / robot / "settings.json") or {}).get("insecure", True):
-            raise ToolError("no key", f"robot {robot}: its settings ask for a key, the release has none")
+            raise ToolError("no key", f"robot {robot}: its settings require a key, but the release has no key")
         if read_json(path) != overlay:
             write_json(path, overlay)
 
@@ -306,7 +306,7 @@ def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
 def verify(folder: Folder, release_id: str, load: bool = True) -> int:
     """Check all files and the key of a release; return the number of files. Raises ToolError.
 
-    load: check that each bundle can be loaded as well.
+    load: True to check also that each bundle can be loaded.
     """
     release = read_release(folder, release_id, candidate=True)
     known = read_json(folder.release(release.id) / _FILES) or {}
@@ -336,7 +336,7 @@ def _check_loads(folder: Folder, release: Release, robot: str) -> None:
 def write_key(folder: Folder, key: str, content: bytes) -> None:
     path = folder.key(key)
     if key_id(content) != key:
-        raise ToolError("damaged", f"the key that arrived is not {key}", "try again")
+        raise ToolError("damaged", f"the received key does not have the id {key}", "try again")
     with folder.room():
         make_folder(folder.keys, 0o700)
         os.chmod(folder.keys, 0o700)
@@ -350,11 +350,11 @@ def check_key(folder: Folder, key: str) -> None:
     except OSError as error:
         raise ToolError("no key", f"{path}: {error.strerror}", "deploy again") from None
     if mode & 0o077 or key_id(content) != key:
-        raise ToolError("no key", f"{path}: another key, or others may read it", "deploy again")
+        raise ToolError("no key", f"{path}: it holds another key, or other users can read it", "deploy again")
 
 
 def accept(folder: Folder, release: str) -> None:
-    """Put a release's `next.json`, if it has one, in force as its `release.json`."""
+    """Replace a release's `release.json` by its `next.json`, if `next.json` exists."""
     place = folder.release(release)
     with suppress(FileNotFoundError):
         os.replace(place / _NEXT, place / _RELEASE)
@@ -362,7 +362,7 @@ def accept(folder: Folder, release: str) -> None:
 
 
 def clean(folder: Folder) -> None:
-    """Remove remains of interrupted sessions. Must not be called while a release is pending."""
+    """Remove interrupted sessions' incomplete releases and `next.json` files. No release may be pending."""
     for path in [*folder.releases.glob(".staging-*"), *folder.releases.glob(f"*/{_NEXT}")]:
         remove_tree(path)
 

@@ -17,13 +17,13 @@ from .releases import Release
 
 _READY = 60.0  # seconds that `start` waits until agents report that they are ready
 _TURN = 0.1  # seconds between two checks of the agents' states
-_DOCTOR = 60.0  # seconds for a bundle's --doctor, which takes at most 20 s on an idle computer
+_DOCTOR = 60.0  # time limit in seconds for a bundle's --doctor, which needs at most 20 s on an idle computer
 
 
 def start(folder: Folder, boot: Boot, deployment: Deployment, wanted: Any) -> dict[str, str]:
     """Start agents of the confirmed release; return a state for each robot.
 
-    The states are "ready", "starting" (not ready after 60 s) and "running" (the agent ran already). Raises ToolError
+    The states are "ready", "starting" (not ready after 60 s) and "running" (the agent ran before). Raises ToolError
     "unconfirmed" while a release is pending, and "not started" if an agent ends at once.
     """
     with deciding(folder):
@@ -59,12 +59,13 @@ def _start_supervised(folder: Folder, boot: Boot, robots: Sequence[str]) -> dict
         if bad:
             for robot in bad:
                 if states[robot] == "ended":
-                    started[robot].wait()  # after the supervisor's end its lock is free: nothing counts as running
+                    # wait for the supervisor's end, which frees its lock; a held lock would count as running
+                    started[robot].wait()
             last = [text for _, text in logs.selected(logs.read_log(folder.log(bad[0])), 5, None)["lines"]]
             raise ToolError(
                 "not started",
                 f"robot {bad[0]}: its agent has ended: {' / '.join(last)}",
-                f"look at the log of {', '.join(bad)}",
+                f"`koordgen logs` shows the log of {', '.join(bad)}",
             )
         if all(state == "ready" for state in states.values()) or time.monotonic() > end:
             return states
@@ -92,7 +93,7 @@ def stop(folder: Folder, deployment: Deployment, wanted: Any, seconds: float) ->
             raise ToolError(
                 "still running",
                 f"not stopped after {seconds:.0f} s: {named}",
-                "wait and stop again; an agent that somebody started by hand ends by Ctrl-C where it was started",
+                "wait and stop again; stop an agent that was started by hand with Ctrl-C in its terminal",
             )
         time.sleep(_TURN)
     return running
@@ -125,7 +126,7 @@ def asked(folder: Folder, deployment: Deployment, robot: Any, option: str, alway
 
     Return its exit status, document and message.
 
-    always: the option prints a JSON document in every case, so a missing document is an error.
+    always: True if the option must print a JSON document, so that a missing document is an error.
     """
     state = deployment.read()
     pending = state["pending"]
@@ -136,12 +137,12 @@ def asked(folder: Folder, deployment: Deployment, robot: Any, option: str, alway
     status, output, errors = releases.run(folder, release, robot, option, "--format", "json", seconds=_DOCTOR)
     document, said = releases.to_document(output), errors.strip()[-2000:]
     if always and document is None:
-        raise ToolError("does not run", f"robot {robot}: its bundle prints no document (status {status}): {said}")
+        raise ToolError("does not run", f"robot {robot}: its bundle printed no JSON document (status {status}): {said}")
     return {"status": status, "document": document, "message": said}
 
 
 def log_lines(folder: Folder, deployment: Deployment, robot: Any, most: int, since: float | None) -> dict[str, Any]:
-    """Return log lines of a robot, from the journal if systemd runs its agent, else from its log file."""
+    """Return log lines of a robot: from the journal if systemd runs the agent, else from a log file."""
     name = checked_robot(robot)
     known = releases.readable(folder, [deployment.read()["confirmed"]])
     if any(release.service == "systemd" for release in known):

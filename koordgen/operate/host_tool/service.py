@@ -20,11 +20,11 @@ from .entry import command
 from .folder import Folder, ToolError, checked_robot, make_folder, write_file
 from .releases import to_document
 
-WATCHDOG = 20  # seconds without a watchdog message from the agent's round loop after which the agent is killed
+WATCHDOG = 20  # an agent is killed if its round loop sends no watchdog message for this many seconds
 STOP = 300  # seconds that a robot may take to land or to brake before its agent is killed
-NO_RESTART = (0, 1, 2, 3, 130)  # exit statuses after which an agent is not started again, because that would not help
-_START = 300  # seconds that an agent may take to get ready: it compiles C code and opens its links
-_TIME = 30.0  # seconds for systemctl commands that only pass a request to systemd
+NO_RESTART = (0, 1, 2, 3, 130)  # a restart would not help after these exit statuses of an agent
+_START = 300  # time limit in seconds until an agent is ready: it compiles C code and opens its links first
+_TIME = 30.0  # time limit in seconds of systemctl commands that only pass a request to systemd
 
 
 def runtime_folder() -> Path:
@@ -40,14 +40,14 @@ def has_systemd() -> bool:
 def unit_name(folder: Folder, robot: str) -> str:
     """Return the name of a robot's unit.
 
-    It contains a hash of the fleet's folder, so folders have own units.
+    The name contains a hash of the fleet's folder, so that fleets on one host have different units.
     """
     name = re.sub(r"[^A-Za-z0-9_]", "_", folder.root.name)
     return f"koordgen-{name}-{sha256(os.fsencode(folder.root)).hexdigest()[:6]}-{checked_robot(robot)}.service"
 
 
 def unit_text(folder: Folder, boot: Boot, robot: str) -> str:
-    """Return the text of a robot's unit file; it does not depend on the release."""
+    """Return the text of a robot's unit file. The text does not depend on the release."""
     start = " ".join(_quoted(word) for word in command(folder, boot, "launch", robot))
     return f"""[Unit]
 Description=koordgen: agent of robot {robot}
@@ -90,7 +90,7 @@ def _quoted(word: str) -> str:
 
 
 def start(folder: Folder, boot: Boot, robots: Sequence[str]) -> None:
-    """Write the units, start them, and enable them for each boot. Returns when all agents are ready."""
+    """Write the units, start them, and enable them for each boot. Wait until all agents are ready."""
     if not has_systemd():
         raise ToolError(
             "no systemd",
@@ -110,7 +110,7 @@ def start(folder: Folder, boot: Boot, robots: Sequence[str]) -> None:
 
 
 def stop(folder: Folder, robots: Sequence[str]) -> None:
-    """Disable the units and tell systemd to stop the agents; does not wait for their end."""
+    """Disable the units and request systemd to stop the agents, without waiting for their end."""
     units = [unit_name(folder, robot) for robot in robots]
     _systemctl("disable", *units)
     _systemctl("stop", "--no-block", *units)
@@ -136,7 +136,9 @@ def journal(folder: Folder, robot: str, most: int, since: float | None) -> list[
     arguments = ["journalctl", "--user", "--no-pager", "--output", "json", "--unit", unit_name(folder, robot)]
     status, said, errors = _run([*arguments, *limit], _TIME)
     if status:
-        raise ToolError("no journal", errors.strip()[-500:] or "journalctl failed", "is the journal kept on the disk?")
+        raise ToolError(
+            "no journal", errors.strip()[-500:] or "journalctl failed", "check that systemd stores its journal on disk"
+        )
     found = []
     for line in said.splitlines():
         entry = to_document(line)

@@ -23,14 +23,14 @@ from .lock import SessionLock, deciding
 
 _LONGEST_LINE = 64 * 1024 * 1024  # largest size of a request's JSON line, in bytes
 _WITH_DATA = ("store", "key")
-_LONGEST_WAIT = 3600.0  # largest duration in seconds that a request may specify
+_LONGEST_WAIT = 3600.0  # longest duration that a request may specify, in seconds
 
 Request = Mapping[str, Any]
 Answer = dict[str, Any]
 
 
 class _Ended(Exception):
-    """The session is over: the operator's computer closed it, was silent, or violated the protocol."""
+    """Raised at a session's end: the operator closed it, was silent, or violated the protocol."""
 
 
 class Channel:
@@ -39,7 +39,7 @@ class Channel:
     def __init__(self, source: int, sink: int, idle: float) -> None:
         self._source, self._sink, self._idle = source, sink, idle
         self._buffer = bytearray()
-        self._left = 0  # bytes of the present request's data that are still to be read
+        self._left = 0  # number of bytes of the present request's data that are not read yet
 
     def request(self) -> dict[str, Any]:
         """Wait for the next request and return it. Raises _Ended."""
@@ -93,7 +93,7 @@ class Verb(NamedTuple):
     """Handler of one kind of request.
 
     run: function that handles the request.
-    locks: only a session that holds the folder's lock may send the request.
+    locks: True if only a session that holds the folder's lock may send the request.
     """
 
     run: Callable[[Session, Request], Answer]
@@ -127,9 +127,9 @@ class Session:
         verb = VERBS.get(str(request.get("verb")))
         try:
             if verb is None:
-                raise ToolError("bad request", f"{request.get('verb')!r}: no such request", "update koordgen")
+                raise ToolError("bad request", f"{request.get('verb')!r}: unknown request", "update koordgen")
             if verb.locks and not self.lock.held:
-                raise ToolError("not locked", f"{request['verb']} needs the lock of the folder")
+                raise ToolError("not locked", f"the request {request['verb']} needs the folder's lock")
             return {"ok": True, **verb.run(self, request)}
         except ToolError as error:
             return {"ok": False, "error": error.code, "message": error.message, "help": error.help}
@@ -185,13 +185,13 @@ def _inspect(session: Session, request: Request) -> Answer:
     try:
         with deciding(session.folder):
             session.deployment.repair()
-    except OSError:  # the disk may be full or read-only; the answer reports that
+    except OSError:  # the disk may be full or read-only; the answer reports this error
         pass
     return host.inspect(session.folder, session.boot, session.deployment)
 
 
 def _lock(session: Session, request: Request) -> Answer:
-    session.lock.take(str(request["owner"]), str(request["what"]))
+    session.lock.acquire(str(request["owner"]), str(request["what"]))
     with deciding(session.folder):
         session.deployment.repair()
         if session.deployment.read()["pending"] is None:
@@ -212,7 +212,7 @@ def _key(session: Session, request: Request) -> Answer:
     for piece in session.channel.data():
         content += piece
         if len(content) > PIECE:
-            raise ToolError("bad request", "this is longer than any key")
+            raise ToolError("bad request", "the data are longer than any key")
     releases.write_key(session.folder, request["id"], content)
     return {}
 

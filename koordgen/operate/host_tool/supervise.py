@@ -22,12 +22,13 @@ from .deployment import Boot
 from .entry import command
 from .folder import Folder, ToolError, make_folder, read_json, write_json
 from .lock import try_lock
-from .logs import Log
+from .logs import AgentLog
 from .service import NO_RESTART, WATCHDOG
 
-_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0  # seconds before a restart: the first pause, doubled each time, and its limit
-_LONG_RUN = 60.0  # seconds; after a longer run, the pause before the next restart is _FIRST_PAUSE again
-_TURN = 0.5  # seconds at most between two checks of the agent, its output and the signals
+# first pause before a restart, in seconds, and longest pause; each pause is twice the pause before
+_FIRST_PAUSE, _LONGEST_PAUSE = 1.0, 30.0
+_LONG_RUN = 60.0  # after a run of more seconds, the pause before the next restart is _FIRST_PAUSE again
+_TURN = 0.5  # longest time in seconds between two checks of the agent, its output and received signals
 
 
 def state_file(folder: Folder, robot: str) -> Path:
@@ -54,7 +55,7 @@ def start(folder: Folder, boot: Boot, robot: str) -> subprocess.Popen[bytes]:
 def state_of(folder: Folder, robot: str, supervisor: subprocess.Popen[bytes]) -> str:
     """Return the state that the supervisor recorded.
 
-    Before its first record "starting", or "ended" if it died.
+    If there is no record yet: "starting", or "ended" if the supervisor died.
     """
     ended = supervisor.poll() is not None
     found = read_json(state_file(folder, robot))
@@ -70,14 +71,14 @@ def supervise(folder: Folder, boot: Boot, robot: str) -> int:
     """
     lock = try_lock(supervisor_lock(folder, robot))
     if lock is None:
-        raise ToolError("running", f"robot {robot}: its supervisor runs already")
+        raise ToolError("running", f"robot {robot}: a supervisor of its agent runs already")
     write_pid(lock)
-    with closing(Log(folder.log(robot))) as log:
+    with closing(AgentLog(folder.log(robot))) as log:
         return _Supervisor(folder, boot, robot, log).run()
 
 
 class _Supervisor:
-    def __init__(self, folder: Folder, boot: Boot, robot: str, log: Log) -> None:
+    def __init__(self, folder: Folder, boot: Boot, robot: str, log: AgentLog) -> None:
         self._folder, self._robot, self._log = folder, robot, log
         self._command = command(folder, boot, "launch", robot)
         self._stops = 0  # number of signals received that request the end
@@ -95,16 +96,16 @@ class _Supervisor:
         pause = _FIRST_PAUSE
         while True:
             began = time.monotonic()
-            self._tell("starting", None)
+            self._record("starting", None)
             status = self._run_once()
             if status in NO_RESTART or self._is_stopping():
                 self._log.write(f"the agent has ended with status {status}")
-                self._tell("ended", status)
+                self._record("ended", status)
                 return status
             if time.monotonic() - began > _LONG_RUN:
                 pause = _FIRST_PAUSE
             self._log.write(f"the agent has failed with status {status}; it is started again in {pause:.0f} s")
-            self._tell("waiting", status)
+            self._record("waiting", status)
             end = time.monotonic() + pause
             while not self._is_stopping() and time.monotonic() < end:
                 time.sleep(0.1)
@@ -114,7 +115,8 @@ class _Supervisor:
         """Run the agent once; return its exit status, or minus the number of the signal that killed it."""
         name = f"koordgen-{secrets.token_hex(12)}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as notices:
-            notices.bind("\0" + name)  # an abstract name, because the path of a folder may be too long for a socket
+            # use an abstract socket name, because a folder's path may be too long for a socket name
+            notices.bind("\0" + name)
             notices.setblocking(False)
             environment = os.environ | {"NOTIFY_SOCKET": f"@{name}", "WATCHDOG_USEC": str(WATCHDOG * 1_000_000)}
             environment.pop("WATCHDOG_PID", None)
@@ -126,7 +128,10 @@ class _Supervisor:
                 return agent.wait()
 
     def _attend(self, agent: subprocess.Popen[bytes], notices: socket.socket) -> None:
-        """Log the agent's output, watch the agent and forward signals, until it ends and all output is logged."""
+        """AgentLog the agent's output, watch the agent and forward signals.
+
+        Return when the agent has ended and its output is logged.
+        """
         assert agent.stdout is not None
         output, notified, rest = agent.stdout.fileno(), notices.fileno(), b""
         alive: float | None = None
@@ -153,27 +158,27 @@ class _Supervisor:
                 self._forwarded += 1
                 agent.send_signal(signal.SIGTERM)
             if alive is not None and time.monotonic() - alive > WATCHDOG and not ended:
-                self._log.write(f"the agent gave no sign of life for {WATCHDOG} s and is killed")
+                self._log.write(f"the agent sent no watchdog message for {WATCHDOG} s and is killed")
                 agent.kill()
                 alive = None
 
     def _hear(self, notices: socket.socket, alive: float | None) -> float | None:
-        """Read a message of the agent; return the time of its last watchdog message.
+        """Read one message of the agent, and return the time of the agent's last watchdog message.
 
-        None: the watchdog is not active, because the agent is not ready yet or is stopping.
+        Returns None while the watchdog is not active: the agent is not ready yet, or is stopping.
         """
         with suppress(OSError):
             words = notices.recv(4096).decode("utf-8", "replace").split("\n")
             if "READY=1" in words:
-                self._tell("ready", None)
+                self._record("ready", None)
                 return time.monotonic()
             if "STOPPING=1" in words:
-                return None  # no watchdog during the stop, because landing may take long
+                return None  # switch the watchdog off during the stop, because a landing may take long
             if "WATCHDOG=1" in words and alive is not None:
                 return time.monotonic()
         return alive
 
-    def _tell(self, state: str, status: int | None) -> None:
-        with suppress(OSError):  # a full disk must not end the supervisor during a flight
+    def _record(self, state: str, status: int | None) -> None:
+        with suppress(OSError):  # ignore the error: a full disk must not end the supervisor during a flight
             found = {"pid": os.getpid(), "state": state, "status": status}
             write_json(state_file(self._folder, self._robot), found)

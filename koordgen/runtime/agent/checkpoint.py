@@ -2,12 +2,12 @@
 
 The whole file is allocated when it is opened, so a full disk is reported before the robot moves. A record is one
 `pwrite` into a slot of its kind. A slot is valid only if its digest is right, so an interrupted write has no effect,
-and the records before it remain. Nothing is synced to the disk: the file survives a crash of the process, not a loss of
+and earlier records remain. Nothing is synced to the disk: the file survives a crash of the process, not a loss of
 power.
 
-An acceptor record lies within one page of memory, and a crash of the process leaves such a write either undone or done.
-So an acceptor record with a wrong digest means that the file is damaged, and that this robot's promises may be lost.
-All records are erased then, because a robot that has forgotten a vote must not continue its mission."""
+An acceptor record lies within one page of memory, so a crash of the process cannot interrupt its write. An acceptor
+record with a wrong digest therefore means that the file is damaged, and that this robot's promises may be lost. Then
+all records are erased, because a robot that has forgotten a vote must not continue its mission."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from koordgen.runtime.values.points import transmissible
 
 STORE_FORMAT = 2
 _MAGIC = b"koord-state\n"
-_HEADER = 512  # size of the header in bytes; less than a page, so a crash never leaves it half written
+_HEADER = 512  # size of the header in bytes; less than a page, so a crash cannot interrupt its write
 _DIGEST = 16  # size of a digest in bytes
-_PAGE = 4096  # bytes; the page size of every supported system is a multiple of it
+_PAGE = 4096  # bytes; the page size of every supported system is a multiple of this number
 _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -41,7 +41,7 @@ _encode = msgspec.msgpack.Encoder().encode
 
 _KINDS: tuple[type[Mission] | type[Locals] | type[Acceptor], ...] = (Mission, Locals, Acceptor)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
-_SLOTS = (2, KEPT + 1, 2)  # slots of each kind: one more than records to recover, as a crash may damage the last write
+_SLOTS = (2, KEPT + 1, 2)  # number of slots for each kind: one more than needed, because a crash may damage a record
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
 
@@ -61,16 +61,17 @@ class CheckpointStore(Protocol):
 class CheckpointFile:
     """Checkpoint file of one robot.
 
-    `write` never raises. After a failed write all records are erased, so that a restart does not find an old state."""
+    `write` never raises. After a failed write, all records are erased, so that a restarted process finds no outdated
+    state."""
 
     def __init__(self, identity: Identity, path: Path | None, file: int, warn: Callable[[str], None]) -> None:
         self._identity = identity
         self._path = path
-        self._file = file  # -1: nothing is stored
+        self._file = file  # file descriptor; -1: no record is stored
         self._warn = warn
         self._sequence = 0
         self._keyed = blake2s(digest_size=_DIGEST, key=identity.token)
-        self._next = [0] * len(_KINDS)  # next slot to write, by kind
+        self._next = [0] * len(_KINDS)  # for each kind of record, the next slot to write
         mission, locals_, acceptor = [_length(room) for room in identity.rooms]
         assert acceptor <= _PAGE
         self._lengths = [mission, locals_, _PAGE]
@@ -81,7 +82,7 @@ class CheckpointFile:
     @classmethod
     def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
              warn: Callable[[str], None]) -> CheckpointFile:  # fmt: skip
-        """Open the file at `path`, created and allocated if needed. Without a path, nothing is stored.
+        """Open the file at `path`, and create and allocate it if needed. Without a path, no record is stored.
 
         A file of another program, robot or format is reported by `warn` and erased. Raises CannotOpen."""
         identity = Identity(STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys))
@@ -101,12 +102,12 @@ class CheckpointFile:
         except CannotOpen:
             store.close()
             raise
-        loaded = store.load()  # also continues the sequence numbers, so that further records count as newer
+        loaded = store.load()  # also sets the sequence number, so that new records count as newer
         if store._is_damaged(_NUMBERS[Acceptor]):
             if loaded.mission is not None:
                 warn(
-                    f"state: {path} is damaged: what this robot promised the others in its mission cannot be read, so "
-                    "it cannot rejoin that mission. End the programs of all robots and start them again"
+                    f"state: {path} is damaged: this robot's promises to the other robots cannot be read, so the robot "
+                    "cannot rejoin its mission. End the programs of all robots and start them again"
                 )
             store.clear()
         return store
@@ -117,9 +118,10 @@ class CheckpointFile:
         return self._file >= 0
 
     def write(self, record: Kept) -> bool:
-        """Store a record. Return False if that failed; the reason was reported once by `warn`.
+        """Store a record. Return False after a failure, which is reported once by `warn`.
 
-        This code is fast, because the robot's entry is sent after this write, and all other robots wait for it."""
+        This method must be fast: the robot's entry is sent after this write, and all other robots wait for the
+        entry."""
         if self._file < 0:
             return False
         kind, payload = _NUMBERS[type(record)], _encode(record)
@@ -130,7 +132,9 @@ class CheckpointFile:
         body += digest.digest()
         try:
             if length > self._identity.rooms[kind]:
-                raise OSError(errno.EFBIG, f"a record of {length} bytes is longer than {self._identity.rooms[kind]}")
+                raise OSError(
+                    errno.EFBIG, f"a record has {length} bytes, but its slot has {self._identity.rooms[kind]} bytes"
+                )
             if os.pwrite(self._file, body, self._begins[kind] + slot * self._lengths[kind]) != len(body):
                 raise _full()
         except OSError as error:
@@ -165,7 +169,7 @@ class CheckpointFile:
         )
 
     def clear(self) -> None:
-        """Erase all records: a new mission begins."""
+        """Erase all records, because a new mission begins."""
         if self._file >= 0:
             try:
                 self._begin_anew()
@@ -179,15 +183,15 @@ class CheckpointFile:
             self._file = -1
 
     def _prepare(self, path: Path) -> None:
-        """Lock the file, allocate its full length, and check its identity; erase a file of another identity."""
+        """Lock the file and allocate its full length. Erase the file if it has another identity."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise CannotOpen(f"state: {path} is in use: does the robot's program run already?") from None
+            raise CannotOpen(f"state: {path} is in use; check whether the robot's program is already running") from None
         os.fchmod(self._file, 0o600)
         old = os.pread(self._file, _HEADER, 0)
         if any(old) and not old.startswith(_MAGIC):
-            raise CannotOpen(f"state: {path} is no file of koordgen's: move it away, or set another `state` folder")
+            raise CannotOpen(f"state: {path} is not a file of koordgen; move it away, or set another `state` folder")
         size = self._offset(len(_KINDS), 0)
         try:
             os.ftruncate(self._file, size)
@@ -195,20 +199,20 @@ class CheckpointFile:
         except OSError as error:
             if not any(old):
                 path.unlink(missing_ok=True)  # the file was new or empty
-            raise _cannot(path, error, f"; it takes {-(-size // 1024)} KiB") from None
+            raise _cannot(path, error, f"; the file needs {-(-size // 1024)} KiB") from None
         found = _identity(old)
         ours = found is not None and msgspec.structs.replace(found, token=b"") == self._identity
         if found is not None and ours:
             self._identify(found)
             return
         if any(old):
-            self._warn(f"state: {path} is {_difference(found, self._identity)}; it is erased")
+            self._warn(f"state: {path} is {_difference(found, self._identity)}; the file is erased")
         self._begin_anew()
 
     def _begin_anew(self) -> None:
         """Erase all records and write a header with a new token. Mission records are erased first.
 
-        Without a mission record, the other records are not used, so an interrupted erasure does no harm.
+        Other records are not used without a mission record, so an interrupted erasure does no harm.
         """
         size = self._offset(len(_KINDS), 0)
         _put(self._file, bytes(size - _HEADER), _HEADER)
@@ -229,12 +233,12 @@ class CheckpointFile:
             with suppress(OSError):
                 self._path.unlink()
         self._warn(
-            f"state: {self._path}: {error.strerror or error}; nothing is stored from now on: if this robot's program "
-            "dies, it cannot rejoin this mission"
+            f"state: {self._path}: {error.strerror or error}; no state is stored from now on. If this robot's program "
+            "dies, the robot cannot rejoin this mission"
         )
 
     def _offset(self, kind: int, slot: int) -> int:
-        """Return the offset of a slot. The offset of the kind after the last is the file's length."""
+        """Return the offset of a slot in the file. For `kind` = len(_KINDS), return the length of the file."""
         return self._begins[kind] + (slot * self._lengths[kind] if slot else 0)
 
     def _digest(self, body: bytes) -> bytes:
@@ -243,7 +247,7 @@ class CheckpointFile:
         return state.digest()
 
     def _is_damaged(self, kind: int) -> bool:
-        """Return whether a slot of this kind contains data that are not a valid record."""
+        """Return whether a slot of this kind contains data but no valid record."""
         slots = [slot for slot in range(_SLOTS[kind]) if self._read(kind, slot) is None]
         return any(any(os.pread(self._file, self._lengths[kind], self._offset(kind, slot))) for slot in slots)
 
@@ -267,11 +271,11 @@ class CheckpointFile:
 
 
 def _rooms(program: Program, n_sys: int) -> tuple[int, ...]:
-    """Return the largest size in bytes of a record of each kind."""
+    """Return for each kind of record the largest size in bytes."""
     shared = sum(4 + v.bound.bytes for v in program.shared)
     own = sum(v.bound.bytes for v in program.locals)
     ports = sum(1 + p.bound.bytes for p in _actuators(program) if p.bound is not None)
-    view = 128 + 10 * n_sys  # bytes of an encoded view, which has a number for each robot
+    view = 128 + 10 * n_sys  # most bytes of an encoded view, which has one number for each robot
     return (256 + shared, 64 + own + ports, 64 + 2 * view)
 
 
@@ -312,8 +316,8 @@ def _difference(found: Identity | None, own: Identity) -> str:
 
 def _cannot(path: Path, error: OSError, more: str = "") -> CannotOpen:
     return CannotOpen(
-        f"state: {path}: {error.strerror or error}{more}; free disk space or allow writing there, or set `state` to "
-        "another folder (null: none; then this robot cannot rejoin a mission)"
+        f"state: {path}: {error.strerror or error}{more}. Free disk space, allow this user to write the file, or set "
+        "`state` to another folder (null: no state is stored, and this robot cannot rejoin a mission)"
     )
 
 
@@ -322,9 +326,9 @@ def _actuators(program: Program) -> tuple[Port, ...]:
 
 
 class LocalsCodec:
-    """Codec of a program's locals and actuators: MessagePack arrays in the program's order.
+    """Codec of the values of local variables and actuators: MessagePack arrays in the program's order.
 
-    An actuator without a value is nil."""
+    An actuator without a value is encoded as nil."""
 
     def __init__(self, program: Program) -> None:
         self._locals: tuple[Variable | Port, ...] = program.locals
@@ -337,7 +341,10 @@ class LocalsCodec:
         )
 
     def decode(self, locals_: bytes, actuators: bytes) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return both by name, or None if anything does not fit the program. Never raises."""
+        """Return name -> value of locals and of actuators, or None. Never raises.
+
+        The result is None if a value does not fit the program.
+        """
         own, ports = _values(self._locals, locals_, False), _values(self._actuators, actuators, True)
         return None if own is None or ports is None else (own, ports)
 
@@ -355,6 +362,6 @@ def _values(places: tuple[Variable | Port, ...], data: bytes, may_lack: bool) ->
             if not transmissible(value) or (place.bound is not None and place.bound.flaw(value)):
                 return None
             found[place.name] = value
-    except (ValueError, RecursionError):  # text that is not Unicode raises ValueError, not DecodeError
+    except (ValueError, RecursionError):  # a text with invalid UTF-8 raises ValueError, not DecodeError
         return None
     return found

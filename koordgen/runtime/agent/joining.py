@@ -1,14 +1,14 @@
 """Joining protocol: from process start to round 1.
 
-Every period, each robot sends each other robot a Hello with its boot id, the result of its `init`, and the list of
-results that it holds. A boot is adopted only if its Hello answers a challenge issued after the last adoption, so a
-recorded Hello of an earlier boot never passes for the present one. A robot that holds all results announces the epoch,
-a digest of all boots. Once all robots announce the same epoch, the robot with the lowest pid proposes the start of
-round 1, and every robot passes it on.
+Every period, each robot sends a Hello to each other robot. A Hello contains the sender's boot id, the result of its
+`init`, and the pids of the robots whose results it holds. A boot is adopted only if its Hello answers a challenge that
+was issued after the last adoption. So a replayed Hello of an earlier boot is never accepted. A robot that holds all
+results announces the epoch, a digest of all boot ids. Once all robots announce the same epoch, robot 0 proposes the
+start of round 1, and every robot passes the start on.
 
 A robot whose process died during a mission rejoins with the persisted epoch and without an `init`. Robots in that
 mission adopt its new boot and send it the start of round 1. If all robots are present and none is in that mission, the
-mission is lost, and a new one begins."""
+mission is lost, and a new mission begins."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.wire import Entry, Hello
 
 PERIOD = 0.2  # seconds between two Hellos to the same robot
-FEW = 32  # number of robots; the period of larger fleets grows in proportion, to limit the load by Hellos
-LEAD = 5  # periods from the proposal to round 1, in which the Hellos of several robots spread the proposal
-# Explanations for users why a robot is not heard although datagrams arrive, by the reason for dropping datagrams.
+FEW = 32  # largest fleet with this period; the period of a larger fleet is longer in proportion, to limit the load
+LEAD = 5  # periods from the proposal of the start to round 1; meanwhile Hellos of several robots spread the proposal
+
+# Reason why datagrams are dropped -> explanation for users why a robot is not heard although its datagrams arrive.
 _UNHEARD = {
     "not authentic": "datagrams arrive that were sealed with another key than this robot's",
     "another application": "datagrams arrive with another application_id than this robot's",
@@ -34,26 +35,26 @@ _UNHEARD = {
     "another program": "a robot runs another program",
     "another release": "a robot runs another release of this program",
 }
-LONGEST_LEAD = 60.0  # seconds from now to a start of round 1 that is accepted; no robot proposes a later start
+LONGEST_LEAD = 60.0  # seconds; a start of round 1 that is further in the future is not accepted
 
 
 @dataclass(slots=True)
 class _Other:
-    """Facts known about another robot's present boot."""
+    """Facts that this robot knows about another robot's present boot."""
 
     adoptions: int = 0
-    challenge: bytes = b""  # its challenge, which this robot must answer
+    challenge: bytes = b""  # challenge of the other robot, which this robot must answer
     init: Entry | None = None
     epoch: bytes = b""
     holds: tuple[int, ...] = ()
     idle: bool = False  # the other robot is in no mission
     inside: bool = False  # the other robot is in this robot's mission
-    elsewhere: bool = False  # the other robot is in a mission that this robot's boot is not part of
+    elsewhere: bool = False  # the other robot is in a mission without this robot's boot
 
 
 @dataclass(frozen=True, slots=True)
 class AgreedMission:
-    """Agreed mission: epoch, fleet time of round 1 (s), and all robots' round-0 entries by pid."""
+    """Agreed mission: epoch, fleet time of round 1 (s), and the round-0 entries of all robots by pid."""
 
     epoch: bytes
     start: float
@@ -61,7 +62,7 @@ class AgreedMission:
 
 
 class Joining:
-    """Joining protocol of one robot. It stays active during the mission, to answer robots that restart."""
+    """Joining protocol of one robot. It stays active during the mission, and answers robots that restart."""
 
     def __init__(self, link: Link, layout: Layout, names: tuple[str, ...]) -> None:
         self._link = link
@@ -74,27 +75,28 @@ class Joining:
         self._next = 0.0
         self._period = PERIOD * max(1.0, len(names) / FEW)
         self._returning = False
-        # epochs of missions that other robots may have begun with this boot
+        # Epochs of the missions that other robots may have begun with this robot's present boot.
         self._announced: deque[bytes] = deque(maxlen=8)
-        self.met = True  # true if every robot knows this robot's boot
+        self.met = True  # True if every robot knows this robot's boot
         self._restarted: set[int] = set()  # robots that restarted without their state during the mission
-        self._untold = False  # true if `began_anew` has not reported some of the restarted robots yet
-        # For Hellos that may be recorded ones: the robots answered in this period; and for each robot the number of
-        # further Hellos in this period, with the challenge of one of them.
+        self._untold = False  # True if `began_anew` has yet to report some of the restarted robots
+
+        # Hellos that may be replays: the robots that were answered in this period, and for each robot the number of its
+        # further Hellos in this period and the challenge of one of these Hellos.
         self._answered: set[int] = set()
         self._unanswered: dict[int, tuple[int, bytes]] = {}
-        self._random = random.Random(link.boot)  # seeded, so a simulated boot always behaves the same
+        self._random = random.Random(link.boot)  # seeded by the boot id, so that simulations are repeatable
 
     def come_back(self, epoch: bytes) -> None:
-        """Rejoin the mission of this epoch, in which this robot's process died."""
+        """Rejoin the mission with this epoch, during which this robot's process died."""
         self._returning = True
         self.met = False
         self._link.epoch = epoch
 
     def began_anew(self) -> str:
-        """Return the names of robots that restarted without state during the mission.
+        """Return the names of the robots that restarted without state during the mission.
 
-        "" if there are no new ones.
+        Return "" if no such robot was found since the last call.
         """
         untold, self._untold = self._untold, False
         return ", ".join(self._names[p] for p in sorted(self._restarted)) if untold else ""
@@ -111,11 +113,11 @@ class Joining:
 
     @property
     def returned(self) -> float | None:
-        """Start of round 1 (fleet time) of the mission that this robot rejoins, once known."""
+        """Fleet time (s) of round 1 in the mission that this robot rejoins; None if unknown or no rejoin."""
         return self._start if self._returning else None
 
     def ready(self, init: Entry) -> None:
-        """Record the result of this robot's `init`, with which it joins a new mission."""
+        """Record the result of this robot's `init`. The robot joins a new mission with this result."""
         self._init = init
         if self._returning:
             self._returning = False
@@ -124,14 +126,14 @@ class Joining:
 
     @property
     def mission(self) -> AgreedMission | None:
-        """The agreed mission, once its start is known."""
+        """Mission that all robots have agreed on; None while the start is unknown or this robot rejoins."""
         inits = self._inits()
         if self._start is None or inits is None or self._returning:
             return None
         return AgreedMission(self._link.epoch, self._start, inits)
 
     def poll(self, now: float, fleet: float | None) -> float:
-        """Send all Hellos that are due at local time `now`; return the local time for the next call.
+        """Send the Hellos that are due at local time `now`. Return the local time at which to call again.
 
         fleet: present fleet time in seconds; None if unknown.
         """
@@ -144,13 +146,13 @@ class Joining:
         if now >= self._next:
             self._next = now + self._period
             self._answer_more()
-            self.tell()
+            self.send_hellos()
         return self._next
 
     def meet(self, now: float) -> float:
-        """Send Hellos during the mission, to robots whose boot is unknown or that may not know this one.
+        """Send the Hellos that are due during the mission. Return the local time at which to call again.
 
-        Returns the time of the next call."""
+        Receivers are robots whose boot is unknown, or all robots while some may not know this robot's boot."""
         if now >= self._next:
             self._next = now + self._period
             self._answer_more()
@@ -159,18 +161,18 @@ class Joining:
             self._link.strangers.clear()
         return self._next
 
-    def tell(self) -> None:
+    def send_hellos(self) -> None:
         """Send a Hello to every other robot."""
         for pid, other in self._others.items():
             self._hello(pid, other.challenge)
 
-    def take(self, hello: Hello, fleet: float | None) -> None:
-        """Handle a Hello that `link` accepted."""
+    def receive(self, hello: Hello, fleet: float | None) -> None:
+        """Handle a Hello that the link has accepted. `fleet`: present fleet time (s); None if unknown."""
         pid = hello.head.pid
         other = self._others[pid]
         if not self._link.is_adopted(hello):
             if hello.answer != self._challenge(pid):
-                self._answer(pid, hello.challenge)  # lets the sender prove that it is live; no state is kept until then
+                self._answer(pid, hello.challenge)  # the sender must first prove that it is live
                 return
             same_mission = hello.head.epoch == self._link.epoch
             if self._start is not None and not same_mission:
@@ -184,7 +186,7 @@ class Joining:
                 self._link.epoch = b""
         other.challenge = hello.challenge
         if self._start is not None:
-            # Answer if the sender does not know the start yet, or does not know this robot's boot.
+            # Answer a sender that does not know the start yet, or does not know this robot's boot.
             if hello.start is None or hello.answer != self._challenge(pid):
                 self._hello(pid, other.challenge)
             return
@@ -202,10 +204,10 @@ class Joining:
         self._learn(other, hello, fleet)
 
     def _learn(self, other: _Other, hello: Hello, fleet: float | None) -> None:
-        """Adopt the start of this robot's mission from a robot that is in it."""
+        """Record from a Hello whether its sender is in this robot's mission, and when the mission starts."""
         epoch = hello.head.epoch
         if hello.start is not None and epoch != self._link.epoch and epoch in self._announced:
-            self.come_back(epoch)  # the mission began before another robot's boot changed
+            self.come_back(epoch)  # the mission had begun before another robot restarted
         other.idle = hello.start is None
         other.elsewhere = hello.start is not None and epoch != self._link.epoch
         other.inside = hello.start is not None and not other.elsewhere
@@ -213,14 +215,14 @@ class Joining:
             start = hello.start / 1e6
             if fleet is not None and start - fleet <= LONGEST_LEAD:
                 self._start = start
-                self.tell()
+                self.send_hellos()
 
     @property
     def alone(self) -> str:
-        """The reason why this robot must not move yet; "" if it may move.
+        """Reason why this robot must not move yet; "" if it may move.
 
-        Without a rejoin, it must not move before it has heard all robots and none is in another mission. A robot that
-        rejoins may move once it has heard one robot in its mission."""
+        A robot that joins a new mission may move once it has heard all robots and none of them is in another mission. A
+        robot that rejoins may move once it has heard one robot of its mission."""
         return "" if self.inside else "; ".join(self._absent())
 
     def _absent(self) -> list[str]:
@@ -228,7 +230,7 @@ class Joining:
         elsewhere = [self._names[p] for p, o in self._others.items() if o.elsewhere]
         parts = []
         if elsewhere:
-            parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end it first")
+            parts.append(f"{', '.join(elsewhere)} in a mission that began before this start: end that mission first")
         if silent:
             reasons = dict.fromkeys(text for reason, text in _UNHEARD.items() if self._link.rejected.get(reason))
             why = f" ({'; '.join(reasons)})" if reasons else ""
@@ -236,7 +238,7 @@ class Joining:
         return parts
 
     def waiting(self) -> str:
-        """Return the reason for waiting as text; "" once the mission's start is known."""
+        """Return the reason why this robot waits, as text; "" once the start of the mission is known."""
         if self._start is not None:
             return ""
         absent = self._absent()
@@ -247,14 +249,14 @@ class Joining:
         if unready and not self._returning:
             parts.append(f"waiting for {', '.join(unready)} to get ready")
         if deaf and not self._returning and not absent and not unready:
-            parts.append(f"waiting until {', '.join(deaf)} hear from all")
+            parts.append(f"waiting until {', '.join(deaf)} have heard all robots")
         return "; ".join(parts) or "waiting for the start of round 1"
 
     def _answer(self, pid: int, challenge: bytes) -> None:
-        """Answer a Hello that may be a recorded one, at most once per period and robot.
+        """Answer a Hello that may be a replay: at most once per period and robot.
 
-        Of further Hellos in the same period, a random one is answered in the next period. So an attacker who replays
-        many recorded Hellos cannot prevent for ever that the robot's own Hello is answered."""
+        If more Hellos arrive in the period, a random one of them is answered in the next period. So an attacker who
+        replays many Hellos cannot prevent forever that the robot's own Hello is answered."""
         if pid not in self._answered:
             self._answered.add(pid)
             self._hello(pid, challenge)
@@ -266,7 +268,7 @@ class Joining:
         self._unanswered[pid] = count, drawn
 
     def _answer_more(self) -> None:
-        """Answer the Hellos that were drawn in the last period. Called at the beginning of each period."""
+        """Answer the Hellos that were chosen at random in the last period. Called once in each period."""
         self._answered = set(self._unanswered)
         for pid, (_, challenge) in self._unanswered.items():
             self._hello(pid, challenge)
@@ -275,12 +277,13 @@ class Joining:
     def _hello(self, to: int, answer: bytes) -> None:
         holds = tuple(p for p, o in sorted(self._others.items()) if o.init is not None)
         start = None if self._start is None else round(self._start * 1e6)
-        self._link.speech.hello(to, self._challenge(to), answer, holds, self._init, start)
+        self._link.sender.hello(to, self._challenge(to), answer, holds, self._init, start)
 
     def _challenge(self, pid: int) -> bytes:
-        """Return the challenge that another robot must answer.
+        """Return the challenge that robot `pid` must answer.
 
-        It changes with each adoption and each boot of this robot, so a recorded answer never fits."""
+        The challenge changes with each adopted boot of that robot and with each boot of this robot, so a replayed
+        answer is always wrong."""
         text = self._link.boot + bytes([pid]) + self._others[pid].adoptions.to_bytes(4, "big")
         return blake2s(text, digest_size=8, person=b"k-hello").digest()
 

@@ -1,7 +1,6 @@
 """Agent of one robot: a polled state machine from start through joining and rounds to the safe stop.
 
-All its dependencies are injected (clock, transport, platform, trace, log), so a simulator can run many agents on a
-clock of its own."""
+Clock, transport, platform, trace and log are injected, so a simulator can run many agents on a simulated clock."""
 
 from __future__ import annotations
 
@@ -36,21 +35,21 @@ from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.values.points import transmissible
 from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
-from koordgen.runtime.vehicle.safety import Guard, own_position
+from koordgen.runtime.vehicle.safety import SafetyGuard, own_position
 from koordgen.runtime.vehicle.stall import Stalls
 
 OK, WRONG_PROGRAM, VIOLATED, SURROUNDINGS, INTERNAL = 0, 1, 3, 5, 70
-LOST_BODY = 10.0  # seconds for which the agent still commands a failed vehicle to stop, before it gives up
+LOST_BODY = 10.0  # seconds for which the agent commands a failed vehicle to stop before the agent gives up
 MOST_FAILURES = 100  # consecutive exceptions of the platform after which the agent gives up
 
 
 class Agent:
     """Agent of one robot. Raises TooLarge if the shared variables do not fit into messages.
 
-    Call `poll` at the time that its last call returned, or earlier. `done` is true once the vehicle has stopped and no
-    other robot needs this one.
+    Call `poll` at or before the time that its last call returned. `done` becomes true once the vehicle has stopped and
+    no other robot needs this robot's messages.
 
-    boot: boot id: 8 random bytes, new for every start of the process.
+    boot: id of this start of the process; 8 random bytes.
     """
 
     def __init__(
@@ -95,8 +94,8 @@ class Agent:
         )
         self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
         self._positions = tuple(p.name for p in program.ports if p.is_position)
-        self._guard = Guard(settings.safety, settings.geofence, self._positions)
-        self._unready: str | None = None  # the vehicle's reason why no event may run
+        self._guard = SafetyGuard(settings.safety, settings.geofence, self._positions)
+        self._unready: str | None = None  # reason why the vehicle does not allow an event
         self._rounds: Rounds | None = None
         self._driver: Driver | None = None
         self._view = -1
@@ -104,7 +103,7 @@ class Agent:
         self._next_body = 0.0
         self._missed = self._failures = 0
         self._init: Life | None = None
-        self._resting_since = 0.0
+        self._stop_began = 0.0
         self._served = 0.0  # time of the platform's last successful `poll`
         self._asked_to_end = False
         self._started = self._lost = self._broken = False
@@ -115,23 +114,23 @@ class Agent:
 
     @property
     def round(self) -> int:
-        """The present round; 0 before the first."""
+        """The present round; 0 before round 1."""
         return self._rounds.round if self._rounds is not None else 0
 
     @property
     def expects(self) -> tuple[int, float]:
-        """See Rounds.expects."""
+        """Number of missing entries, and seconds to wait for all of them; see Rounds.expects."""
         return self._rounds.expects if self._rounds is not None else (1, 0.0)
 
     def counters(self) -> dict[str, int]:
-        """Return all counters by name."""
+        """Return name -> count of all counters: of rounds, dropped datagrams and network failures."""
         counters = None if self._rounds is None else self._rounds.counters
         return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
 
     def clock_error(self, now: float) -> float | None:
-        """Return a bound on the error of this robot's fleet time at local time `now`, in seconds.
+        """Return the largest possible error (s) of this robot's fleet time; None if unknown.
 
-        None if unknown.
+        now: local time (s).
         """
         bound = self._fleet_clock.bound(now)
         return bound if bound < math.inf else None
@@ -142,7 +141,7 @@ class Agent:
         pose: position (m, ENU), yaw (rad) and age (s); None if unknown.
         battery: charge from 0 to 1; None if unknown.
         goal: commanded points.
-        Further keys: recent history (koordgen/runtime/ops/recent.py).
+        Further keys: recent history, see koordgen/runtime/ops/recent.py.
         """
         sensed, found = self._platform.sense(now), vitals(self._platform)
         position = own_position(sensed, self._positions)
@@ -161,7 +160,7 @@ class Agent:
     def end(self, why: str) -> None:
         """Stop the robot safely; `done` becomes true when it has stopped."""
         self._asked_to_end = True
-        self._rest(why, OK)
+        self._stop_safely(why, OK)
         self.done = self.done or not self._started
 
     def stop_all(self, why: str) -> None:
@@ -173,28 +172,28 @@ class Agent:
         self.end(why)
 
     def poll(self, now: float) -> float:
-        """Do all work that is due at local time `now`. Return the latest time of the next call.
+        """Do all work that is due at local time `now`. Return the latest local time for the next call.
 
-        Call earlier when a datagram arrives. Never raises: an error leads to a safe stop and sets `status`."""
+        Call `poll` earlier if a datagram arrives. Never raises: an error leads to a safe stop and sets `status`."""
         try:
             wake = self._poll(now)
             if self.done and self._journal.untold:
-                self._tell()
+                self._write_records()
             return wake
         except Unready as lost:
             if not self._lost:
                 self._lost = True
                 self._journal.error(lost.message + (f" ({lost.hint})" if lost.hint else ""))
-                self._rest("the vehicle has failed", SURROUNDINGS)
+                self._stop_safely("the vehicle has failed", SURROUNDINGS)
             self._give_up(now)
         except Exception:
             self._failures += 1
             if not self._broken:
                 self._journal.error("internal error, please report it:\n" + traceback.format_exc())
                 self._broken = True
-                self._rest("internal error", INTERNAL)
+                self._stop_safely("internal error", INTERNAL)
             self.done = self.done or self._failures > MOST_FAILURES
-        self._transport.receive()  # unread datagrams would keep `wait` from waiting
+        self._transport.receive()  # if datagrams stayed unread, `wait` would return at once
         return now + self._platform.period
 
     def _poll(self, now: float) -> float:
@@ -211,8 +210,8 @@ class Agent:
         rounds = self._rounds
         if rounds is None:
             return min(wake, self._join(now))
-        # If the event of the next round can run at once, other robots wait for this robot's entry: run it before
-        # receiving messages.
+        # If the event of the next round can run at once, run it before messages are received, because other robots wait
+        # for this robot's entry.
         if not rounds.ripe(now):
             self._receive(None)
         due = self._poll_rounds(rounds, now)
@@ -220,25 +219,25 @@ class Agent:
         if calm:
             self._monitor(rounds, now)
         if self._journal.full or (calm and self._journal.untold):
-            self._tell()
+            self._write_records()
         if rounds.over and self.phase == "running":
             self._asked_to_end = True
-            self._rest("all robots have stopped", OK)
+            self._stop_safely("all robots have stopped", OK)
         return min(wake, due, self._joining.meet(now))
 
     def _join(self, now: float) -> float:
-        """Take part in the joining protocol, and begin the rounds once the mission is agreed."""
+        """Take part in the joining protocol. Begin the rounds once all robots have agreed on the mission."""
         fleet = self._fleet_clock.read(now) if self._fleet_clock.known else None
         self._receive(fleet)
         if inside := self._joining.inside:
-            self._link.keep_time(min(inside), now)  # a provisional time reference: the view, which names it, is unknown
+            self._link.keep_time(min(inside), now)  # provisional reference, because the present view is unknown
         if self.phase not in ("starting", "joining"):
             return math.inf
         if self._init is not None:
             self._persistence.mission(self._link.epoch, self._init)
         wake = self._joining.poll(now, fleet)
         if self._joining.lost and self.phase == "joining":
-            self._journal.warn("no robot is in the mission that this robot would rejoin: a new mission begins")
+            self._journal.warn("no other robot is in the mission that this robot was in: a new mission begins")
             self._run_init(now)
         self._begin_rounds(now)
         return wake
@@ -249,8 +248,8 @@ class Agent:
         `fleet`: fleet time in seconds, used only before the rounds have begun.
         """
         messages = self._link.receive()
-        for hello in self._link.take_hellos():
-            self._joining.take(hello, fleet)
+        for hello in self._link.pop_hellos():
+            self._joining.receive(hello, fleet)
         if messages and self._rounds is not None:
             self._rounds.receive(messages)
         if names := self._joining.began_anew():
@@ -265,7 +264,7 @@ class Agent:
             wake = rounds.poll(now, self._platform.sense, self._unready)
         except Lost as lost:
             self._journal.error(str(lost))
-            self._rest("cannot rejoin", SURROUNDINGS)
+            self._stop_safely("cannot rejoin", SURROUNDINGS)
             self._rounds = None
             return now + self._platform.period
         if rounds.counters.in_a_row != self._missed:
@@ -277,30 +276,30 @@ class Agent:
         view = replica.views.view
         if view.number != self._view:
             self._view = view.number
-            self._journal.view(view, self._names, over=self.phase in ("resting", "rested"))
+            self._journal.view(view, self._names, over=self.phase in ("stopping", "stopped"))
             self._link.keep_time(next(p for p, m in enumerate(view.members) if m >= 0), now)
         return wake
 
     def _judge_missed(self, rounds: Rounds) -> None:
-        """Warn, and if so configured stop safely, after `missed_rounds` missed rounds in a row.
+        """Warn after `missed_rounds` consecutive missed rounds, and stop safely if `missed_action` is `stop`.
 
-        A missed round is one without an event because the store was not current or the robot woke late. Records of
-        rounds are not used, because they may wait for a commit.
+        A round is missed if no event ran in it because the store was not current or the robot woke late. The counter is
+        used rather than records of rounds, because records may wait for a commit.
         """
         safety, before = self._settings.safety, self._missed
         self._missed = rounds.counters.in_a_row
         if before < safety.missed_rounds <= self._missed:
             self._journal.warn(f"{self._missed} rounds in a row {rounds.reason}")
-            if safety.missed_action == "rest":
-                self._rest("the shared memory is gone", SURROUNDINGS)
+            if safety.missed_action == "stop":
+                self._stop_safely("the shared memory was not current for too many rounds", SURROUNDINGS)
 
     def _poll_body(self, now: float) -> float:
         self._next_body = max(self._next_body + self._platform.period, now)
-        if self.phase in ("resting", "rested"):
-            self._platform.rest(now)
+        if self.phase in ("stopping", "stopped"):
+            self._platform.stop(now)
         self._platform.poll(now)
         self._served, self._failures = now, 0
-        for line in self._platform.news():
+        for line in self._platform.log_lines():
             self._journal.warn(line)
         match self.phase:
             case "starting":
@@ -314,20 +313,20 @@ class Agent:
                     self._journal.progress(self._joining.waiting())
                 self._judge(now)
                 self._stalls.see(self._platform.stall, now)
-            case "resting" if self._platform.rested:
-                self._enter("rested", "")
-        self._end_when_rested()
+            case "stopping" if self._platform.stopped:
+                self._enter("stopped", "")
+        self._end_when_stopped()
         return self._next_body
 
-    def _end_when_rested(self) -> None:
-        if self.phase == "rested":
+    def _end_when_stopped(self) -> None:
+        if self.phase == "stopped":
             over = self._rounds is None or self._rounds.over
             self.done = self._asked_to_end or over or self._broken
             if self.done and not self._broken:
-                self._persistence.forget()  # no mission left to rejoin
+                self._persistence.forget()  # the mission is over, so there is no mission to rejoin
 
     def _begin_joining(self, now: float) -> None:
-        """Begin to join once the vehicle is ready: hold position; run `init` unless the robot rejoins."""
+        """Begin to join, because the vehicle is ready. Hold position, and run `init` unless the robot rejoins."""
         self._enter("joining", "")
         self._body.hold("joining", True, now)
         sensed = self._platform.sense(now)
@@ -336,7 +335,7 @@ class Agent:
             self._run_init(now)
 
     def _run_init(self, now: float) -> None:
-        """Erase the state of any earlier mission, run the program's `init`, and join with its result."""
+        """Erase the state of earlier missions, run the program's `init`, and join with the result of `init`."""
         self._persistence.forget()
         sensed = self._platform.sense(now)
         shared = self._layout.initial()
@@ -345,14 +344,14 @@ class Agent:
         calls = self._body.calls()
         if isinstance(done, Fault):
             self._journal.error(f"{done} (in init)")
-            self._rest("init failed", WRONG_PROGRAM)
+            self._stop_safely("init failed", WRONG_PROGRAM)
             return
         result = Entry(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
         length = len(encoder.encode(result))
-        if length > self._link.speech.room:  # a Hello must fit into one datagram
-            most = self._link.speech.room
+        if length > self._link.sender.room:  # a Hello must fit into one datagram
+            most = self._link.sender.room
             self._journal.error(f"init writes {length} bytes of shared variables; at most {most} can be sent")
-            self._rest("init failed", WRONG_PROGRAM)
+            self._stop_safely("init failed", WRONG_PROGRAM)
             return
         self._body.command(done.actuators, now)
         self._init = Life(0, done.locals, self._body.actuators, done.stopped)
@@ -381,7 +380,7 @@ class Agent:
             return
         timeout = self._settings.safety.peer_timeout
         self._fleet_clock.lock()
-        room = self._link.speech.room
+        room = self._link.sender.room
         replica = Replica(self._settings.pid, self._layout, state, hard_state, timeout, room)
         self._driver = Driver(
             replica, self._link, self._persistence.hard_state, lambda private: self._persistence.life(*private)
@@ -398,53 +397,53 @@ class Agent:
 
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)
-        told = "" if verdict.action == "go" else f"{verdict.reason} ({self._platform.progress})"
-        if verdict.action == "rest":
-            self._rest(told, SURROUNDINGS)
+        detail = "" if verdict.action == "go" else f"{verdict.reason} ({self._platform.progress})"
+        if verdict.action == "stop":
+            self._stop_safely(detail, SURROUNDINGS)
         elif self._body.hold("position", verdict.action == "hold", now):
-            self._journal.warn(told if verdict.action == "hold" else "own position is fresh again")
+            self._journal.warn(detail if verdict.action == "hold" else "own position is fresh again")
         self._unready = f"{NO_POSITION}: {verdict.reason}" if verdict.action != "go" else None
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)
 
-    def _rest(self, why: str, status: int) -> None:
+    def _stop_safely(self, why: str, status: int) -> None:
         self.status = self.status or status
-        if self.phase in ("resting", "rested"):
+        if self.phase in ("stopping", "stopped"):
             return
-        self._resting_since = self._next_body = self._clock.now()  # the next poll calls the platform's `rest`
+        self._stop_began = self._next_body = self._clock.now()  # the next poll calls the platform's `stop`
         if self._rounds is not None:
             self._rounds.leave()
         self._body.retire()
-        self._enter("resting", why)
-        self._journal.measure(self._link.rejected, self._resting_since, at_once=True)
+        self._enter("stopping", why)
+        self._journal.measure(self._link.rejected, self._stop_began, at_once=True)
         self._journal.judged(*self.monitors.summary())
 
     def _give_up(self, now: float) -> None:
         """Decide whether to end the agent after its vehicle has failed.
 
-        The vehicle is commanded to stop until LOST_BODY seconds have passed since the stop began or the vehicle last
-        worked. A vehicle that never started needs no stop."""
-        self._end_when_rested()
+        The agent commands the vehicle to stop until LOST_BODY seconds have passed since the stop began and since the
+        vehicle last worked. A vehicle that never started need not stop."""
+        self._end_when_stopped()
         if not self._started:
             self.done = True
-        elif self.phase == "resting" and now - max(self._resting_since, self._served) > LOST_BODY:
+        elif self.phase == "stopping" and now - max(self._stop_began, self._served) > LOST_BODY:
             self._journal.error(f"the vehicle did not stop within {LOST_BODY:.0f} s")
             self.done = True
 
-    def _tell(self) -> None:
-        """Write the records of committed rounds to the trace, when no urgent work is expected."""
-        self._journal.tell(self.counters() if self._journal.traces else {}, self._link.rejected)
+    def _write_records(self) -> None:
+        """Write the records of committed rounds to the trace. Called while no urgent work is expected."""
+        self._journal.write_pending(self.counters() if self._journal.traces else {}, self._link.rejected)
         if self._driver is not None and (state := self._driver.replica.state) is not None:
             self.metrics.held(state.held)
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
-        """Evaluate the monitors, and apply their verdict."""
-        if rounds.moment is not None:
-            self._journal.attempt(self.monitors.look, rounds.moment)
+        """Evaluate the monitors, and hold or stop the robot if their verdict demands it."""
+        if rounds.observation is not None:
+            self._journal.attempt(self.monitors.look, rounds.observation)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
-        if verdict.action == "rest" and self.phase == "running":
-            self._rest(verdict.reason, VIOLATED)
+        if verdict.action == "stop" and self.phase == "running":
+            self._stop_safely(verdict.reason, VIOLATED)
 
     def _enter(self, phase: str, detail: str) -> None:
         self.phase = phase

@@ -1,4 +1,4 @@
-"""Output commit: outputs of a round wait here until the round is committed.
+"""Output commit: outputs of a round wait until the round is committed.
 
 A plain event changes its robot's private variables at once. A transaction (an event with a lock) changes them when it
 has won the lock. Outputs (actuator commands, lines of streams, trace records) wait until the round is committed, so an
@@ -14,35 +14,35 @@ from msgspec.structs import replace
 from koordgen.runtime.program.program import Effects, Life
 from koordgen.runtime.program.runner import LOST_CONTENTION, NOT_COUNTED
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 
-MOST_WAITING = 64  # largest number of waiting records; beyond it, records of rounds without an event are dropped
-AHEAD = 3  # number of rounds after the last committed one in which events may run if no output waits
+MOST_WAITING = 64  # number of waiting records from which on records of rounds without an event are dropped
+AHEAD = 3  # number of rounds after the last committed round in which events may run if no output waits
 
 
 @dataclass(slots=True)
 class _Waiting:
-    record: Record
-    lock: int  # lock of a transaction that is not decided yet; -1: a plain event, a decided one, or no event
+    record: RoundRecord
+    lock: int  # lock of a transaction whose result is unknown; -1: any other record
     life: Life | None
 
 
 class OutputCommit:
-    """Records of uncommitted rounds, in ascending order.
+    """Queue of the records of rounds that are not committed yet.
 
-    lives: private states that the robot may have to roll back to, in ascending order; the first one is committed.
-    first: the first round whose outputs wait; None if no outputs wait.
+    lives: private states to which the robot may have to roll back, by ascending round; the first state is committed.
+    first: first round whose outputs wait; None if no outputs wait.
     """
 
     def __init__(self, life: Life) -> None:
         self._waiting: deque[_Waiting] = deque()
-        self._commit: _Waiting | None = None  # a transaction whose result is unknown
+        self._commit: _Waiting | None = None  # transaction whose result is unknown
         self.lives = [life]
         self.first: int | None = None
 
     @property
     def life(self) -> Life:
-        """The latest private state, committed or not."""
+        """Latest private state of the robot, whether or not its round is committed."""
         return self.lives[-1]
 
     @property
@@ -54,13 +54,13 @@ class OutputCommit:
     def pressing(self) -> bool:
         """True if waiting records must be handled before the next event.
 
-        That is so if outputs wait, a transaction is undecided, or MOST_WAITING records wait. Otherwise they are handled
-        after the entry of the event was sent, because other robots wait for that entry.
+        The reason is that outputs wait, that a transaction is undecided, or that MOST_WAITING records wait. Otherwise
+        the records are handled after the event's entry was sent, because other robots wait for the entry.
         """
         return self.first is not None or self._commit is not None or len(self._waiting) >= MOST_WAITING
 
-    def add(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """Add a round's record, and the private state after the round's event, if it had one."""
+    def add(self, record: RoundRecord, lock: int = -1, life: Life | None = None) -> None:
+        """Add the record of a round. `life`: private state after the round's event; None without an event."""
         waiting = _Waiting(record, lock, life)
         if len(self._waiting) < MOST_WAITING or life is not None:
             self._waiting.append(waiting)
@@ -72,7 +72,10 @@ class OutputCommit:
             self.lives.append(life)
 
     def decide(self, state: StateMachine) -> bool | None:
-        """Return whether the pending transaction has won; None if there is none, or its round is not applied."""
+        """Return whether the pending transaction has won its lock.
+
+        Return None without a pending transaction, or while its round is not applied.
+        """
         waiting = self._commit
         if waiting is None or state.applied < waiting.record.round:
             return None
@@ -89,7 +92,7 @@ class OutputCommit:
         return False
 
     def can_settle(self, state: StateMachine) -> bool:
-        """Return whether `decide` or `ready` would return something."""
+        """Return whether `decide` has a result or `ready` has a record to return."""
         if not self._waiting:
             return False
         first, commit = self._waiting[0], self._commit
@@ -97,10 +100,10 @@ class OutputCommit:
             return True
         return first.lock < 0 and _is_committed(first.record, state)
 
-    def ready(self, state: StateMachine | None) -> list[Record]:
+    def ready(self, state: StateMachine | None) -> list[RoundRecord]:
         """Remove and return the committed records, by ascending round.
 
-        Without a store (`state` is None), these are the records before the first one with an event."""
+        If `state` is None (no store), only records before the first record with an event are returned."""
         found = []
         while self._waiting and self._waiting[0].lock < 0:
             waiting = self._waiting[0]
@@ -114,13 +117,14 @@ class OutputCommit:
                 del self.lives[0]
         return found
 
-    def settle(self, acted: int) -> tuple[Life | None, list[Record]]:
+    def settle(self, acted: int) -> tuple[Life | None, list[RoundRecord]]:
         """Decide all waiting records after a rejoin.
 
-        acted: round of this robot's last event that the fleet counts.
-        Returns the private state after that event (None if it is no longer stored), and all records.
+        acted: round of this robot's last event that counts for the fleet.
+        Return the private state after that event (None if the state is no longer stored), and all records.
         """
-        # An undecided transaction may have won while this robot was out; then its state is the one to continue with.
+        # An undecided transaction may have won while this robot was out. The robot then continues with the private
+        # state after that transaction.
         proposed = [w.life for w in self._waiting if w.lock >= 0 and w.life is not None]
         life = next((life for life in (*self.lives, *proposed) if life.round == acted), None)
         found = []
@@ -141,10 +145,11 @@ class OutputCommit:
         self.first = next((w.record.round for w in self._waiting if has_outputs(w.record.effects)), None)
 
 
-def _is_committed(record: Record, state: StateMachine | None) -> bool:
-    """Return whether a round is committed: no later view can discard it.
+def _is_committed(record: RoundRecord, state: StateMachine | None) -> bool:
+    """Return whether the round of a record is committed, so that no later view can discard it.
 
-    For an event without effects, it suffices that the round before is committed, whose store the event has read.
+    For an event without effects, the round before must be committed, because the event has read the store after that
+    round. A record without an event counts as committed.
     """
     if record.effects is None and record.frame is None:
         return True

@@ -15,7 +15,7 @@ from koordgen.runtime.replication.messages import HardState, Vote
 class Persistence:
     """Persistent state of one robot.
 
-    past: state that an earlier process of this robot wrote; empty once a new mission begins.
+    past: records that an earlier process of this robot wrote; empty once a new mission begins.
     """
 
     def __init__(self, store: CheckpointStore, program: Program, n_sys: int) -> None:
@@ -23,46 +23,47 @@ class Persistence:
         self._codec = LocalsCodec(program)
         self._n = n_sys
         self._epoch = b""  # epoch of the persisted mission
-        # last view and vote, with their encodings
-        self._said: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""
+
+        # Last persisted view and vote, and their encodings.
+        self._encoded: tuple[View | None, Vote | None, bytes, bytes] = None, None, b"", b""
         self.past = store.load()
         if self.past.mission is not None:
             self._epoch = self.past.mission.epoch
 
     @property
     def interrupted(self) -> bytes:
-        """Epoch of the mission during which an earlier process died; b"" for none."""
+        """Epoch of the mission during which an earlier process of this robot died; b"" if there is none."""
         return self.past.mission.epoch if self.past.mission is not None else b""
 
     def forget(self) -> None:
-        """Erase all persisted state, of an earlier process or of a mission that is over."""
+        """Erase all persisted records of this robot."""
         self.past = Loaded()
         self._epoch = b""
         self._store.clear()
 
     def mission(self, epoch: bytes, init: Life) -> None:
-        """Persist the epoch of the mission and the result of `init`; call this before announcing the epoch."""
+        """Persist the mission's epoch and the private state after `init`. Call this before the epoch is sent."""
         if epoch not in (b"", self._epoch):
             self._epoch = epoch
             self._store.write(Mission(epoch, 0, b""))
             self.life(init, 0)
 
     def life(self, life: Life, incarnation: int) -> None:
-        """Persist the robot's private state (a Life) after an event, and the incarnation that ran the event."""
+        """Persist the robot's private state (a Life) after an event, and the robot's incarnation in the event."""
         own, actuators = self._codec.encode(life.locals, life.actuators)
         self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
 
     def hard_state(self, state: HardState) -> None:
         """Persist the facts that this robot must not contradict after a restart; see HardState."""
         view, applied, vote = state.view, state.applied, state.vote
-        known_view, known_vote, encoded, value = self._said
+        known_view, known_vote, encoded, value = self._encoded
         if view is not known_view or vote is not known_vote:
             encoded, value = encoder.encode(view), b"" if vote.value is None else encoder.encode(vote.value)
-            self._said = view, vote, encoded, value
+            self._encoded = view, vote, encoded, value
         self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
 
     def lives(self) -> list[Life]:
-        """Return the private states that an earlier process persisted, by ascending round; may be empty."""
+        """Return the private states that an earlier process has persisted, by ascending round."""
         found = []
         for kept in self.past.locals:
             decoded = self._codec.decode(kept.locals, kept.actuators)
@@ -71,7 +72,7 @@ class Persistence:
         return found
 
     def last_hard_state(self) -> HardState:
-        """Return the hard state that an earlier process has persisted, or that of a new mission."""
+        """Return the last hard state of an earlier process, or else the hard state of a new mission."""
         kept = self.past.acceptor
         if kept is None:
             return first_hard_state(self._n)

@@ -1,15 +1,13 @@
-"""Process of one robot.
-
-`main` of every agent bundle reads its settings, opens its resources and runs the agent.
+"""Process of one robot: `main`, which an agent bundle calls, reads the settings and runs the agent.
 
 Exit statuses:
 0: the mission is done, and the robot has stopped safely.
 1: the settings or the program are wrong.
-2: wrong command line.
-3: stopped safely because a monitored property was violated, as the fleet file demands.
-5: problem of the environment (port, link, device, vehicle).
+2: the command line is wrong.
+3: the robot has stopped safely because a monitored property was violated, as the fleet file demands.
+5: the environment has a problem (port, link, device, vehicle).
 70: internal error.
-130: ended at once by a third signal.
+130: a third signal has ended the process at once.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import FrameType
@@ -39,29 +37,29 @@ from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
+from koordgen.runtime.ops.checks import print_briefly, print_checks
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.doctor import PlatformType, examine
-from koordgen.runtime.ops.findings import tell, tell_shortly
 from koordgen.runtime.ops.host import temperature
 from koordgen.runtime.ops.notify import Notifier
-from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
+from koordgen.runtime.ops.set_up import open_key, open_settings, open_transport
 from koordgen.runtime.ops.status import ask, show
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program, wrong_first_value
 from koordgen.runtime.program.property import Properties, without_properties
 from koordgen.runtime.program.runner import EndedAtOnce, Interrupting
-from koordgen.runtime.trace.parts import MEGABYTE, Parts, set_aside
+from koordgen.runtime.trace.parts import MEGABYTE, TraceFileParts, set_aside
 from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
-from koordgen.runtime.vehicle.platform import Platform, Unready
+from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
 
 __all__ = ["Agent", "main"]
 
 INTERRUPTED = 130
-LONGEST_WAIT = 0.1  # longest wait for messages in seconds, which bounds the delay until a signal is handled
-YOUNG = 10_000  # new objects between two garbage collections of the youngest generation, which take 0.3 ms each
-PIECE = 200  # characters written at once, few enough that a pipe or terminal that is ready accepts them
+LONGEST_WAIT = 0.1  # seconds; longest wait for messages, and therefore the longest delay until a signal is handled
+YOUNG = 10_000  # number of new objects that starts a collection of the youngest generation; a collection takes 0.3 ms
+PIECE = 200  # number of characters written at once, so few that a pipe or terminal that is ready accepts all of them
 
 NO_DRIVERS: Drivers = {}
 
@@ -74,13 +72,13 @@ def main(
     drivers: Drivers = NO_DRIVERS,
     properties: Properties | None = None,
 ) -> int:
-    """Run the robot's program; return the exit status.
+    """Run the program of a robot. Return the exit status.
 
     program: the compiled program.
-    platform_type: creates the platform, the code for the vehicle.
-    root: folder of the bundle, with its settings.
+    platform_type: class that creates the platform, the code for the vehicle.
+    root: folder of the bundle, which contains the settings.
     argv: arguments of the command line.
-    drivers: create the drivers of modules that the platform does not offer.
+    drivers: module -> function that creates the driver of a module that the platform does not offer.
     properties: monitored properties; None if the program has none.
     """
     arguments = _arguments(program, argv)
@@ -91,13 +89,14 @@ def main(
     platform: Platform | None = None
     try:
         if arguments.check or arguments.doctor:
-            examined = examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)
-            with closing(examined):
-                return tell(program.name, examined, arguments.format) if arguments.doctor else tell_shortly(examined)
+            with closing(examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)) as results:
+                return _print_results(program, results, arguments)
         settings = open_settings(root, arguments.settings, arguments.pid)
         key = open_key(settings)
         if key is None:
-            _say("warning", "INSECURE: no key is set, so every computer on this network can control this robot")
+            _print_message(
+                "warning", "INSECURE: no key is set, so every computer on this network can control this robot"
+            )
         if arguments.status:
             return _status(settings, key, arguments.format)
         Layout(program.shared, len(settings.peers))
@@ -105,9 +104,9 @@ def main(
         if wrong is not None:
             return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
         if program.library is not None:
-            program.library.load()  # importing may take longer than a round
-        if reason := inbox.accelerator():  # compiling may also take longer than a round
-            _say("warning", f"{inbox.PYTHON_COSTS}: {reason}")
+            program.library.load()  # importing now, because it may take longer than a round
+        if reason := inbox.accelerator():  # compiles now if needed, which may take longer than a round
+            _print_message("warning", f"{inbox.PYTHON_COSTS}: {reason}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, program, drivers)
         watched = properties or without_properties(program)
@@ -119,7 +118,7 @@ def main(
     except Unready as error:
         return _fail(error.message, error.hint, SURROUNDINGS)
     except (KeyboardInterrupt, EndedAtOnce):
-        return _fail("ended at once; the vehicle is left to its own failsafe", "", INTERRUPTED)
+        return _fail("the agent was ended at once; only the failsafe of the vehicle acts now", "", INTERRUPTED)
     except Exception:
         return _fail("internal error, please report it:\n" + traceback.format_exc(), "", INTERNAL)
     finally:
@@ -127,11 +126,16 @@ def main(
             platform.close()
 
 
-def settle_collector() -> None:
-    """Reduce garbage collections during rounds. Call this after all permanent objects were created.
+def _print_results(program: Program, results: Iterator[Finding], arguments: argparse.Namespace) -> int:
+    """Print the results of checks: all of them for `--doctor`, up to the first failure for `--check`."""
+    return print_checks(program.name, results, arguments.format) if arguments.doctor else print_briefly(results)
 
-    A full collection takes 6 ms with the modules of CasADi and OMPL loaded, so all present objects are excluded from
-    collections. Nearly no object of a round is in a reference cycle, so collections may be rare."""
+
+def settle_collector() -> None:
+    """Make garbage collections short and rare during rounds. Call this once all permanent objects exist.
+
+    A full collection takes 6 ms with CasADi and OMPL loaded, so all present objects are excluded from collections.
+    Objects of a round are almost never part of a reference cycle, so collections may be rare."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(YOUNG)
@@ -166,12 +170,16 @@ def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | in
 
 
 def _compile() -> int:
-    _say("info", "compiling the shared memory's modules; this takes a minute, on a small computer several")
+    _print_message(
+        "info", "compiling the modules of the shared memory; this takes a minute, or several on a small computer"
+    )
     try:
         path = protocol.compile_modules()
     except NotCompiled as error:
         return _fail(str(error), "", SURROUNDINGS)
-    _say("info", f"compiled: {path}; bundles of this koordgen use it from their next start on")
+    _print_message(
+        "info", f"compiled: {path}; bundles of this koordgen version use this library from their next start on"
+    )
     return OK
 
 
@@ -179,7 +187,7 @@ def _status(settings: Settings, key: bytes | None, form: str) -> int:
     report = ask(settings, key)
     if report is None:
         place = f"{settings.bind or settings.peers[settings.pid].host}:{settings.control_port}"
-        hint = "is its agent running, on this host, with this key and application_id?"
+        hint = "is its agent running on this computer, with the same key and application_id?"
         return _fail(f"robot {settings.robot} does not answer at {place}", hint, SURROUNDINGS)
     print(json.dumps(report, indent=2) if form == "json" else show(report))
     return OK
@@ -200,7 +208,7 @@ def _run(
 
     clock = SystemClock()
     with ExitStack() as opened:
-        transport = open_transport(settings)  # first, because it fails if this robot already runs
+        transport = open_transport(settings)  # opened first, because this fails if the robot's agent already runs
         opened.callback(transport.close)
         control = Control.open(settings, key)
         opened.callback(control.close)
@@ -223,7 +231,7 @@ def _run(
         signals = opened.enter_context(_Signals())
         seen = 0
         stopped = False
-        agent.poll(clock.now())  # the vehicle opens and imports its dependencies
+        agent.poll(clock.now())  # this first call opens the vehicle and imports its dependencies
         settle_collector()
         notifier.ready()
         while not agent.done:
@@ -238,12 +246,12 @@ def _run(
                     notifier.stopping()
                     agent.end(f"{signals.name}: stopping safely")
                 else:
-                    _say("warning", "still stopping; one more signal ends the process at once")
+                    _print_message("warning", "the robot is still stopping; one more signal ends the process at once")
             transport.wait(min(wake - clock.now(), LONGEST_WAIT), *agent.expects)
         while control.lingers(clock.now()):
             control.poll(clock.now(), agent.phase, report)
             time.sleep(0.01)
-        gc.unfreeze()  # so that OMPL's binding can report leaks at the end
+        gc.unfreeze()  # return all objects to the collector, so that OMPL's binding can report leaks at the end
         return agent.status
 
 
@@ -275,7 +283,7 @@ def _report(settings: Settings, agent: Agent, control: Control, root: Path, now:
 class _Signals:
     """Context manager that counts SIGINT, SIGTERM and SIGHUP; the third signal raises EndedAtOnce.
 
-    A SIGHUP (closed terminal) counts only if it is the first signal. Under `nohup`, SIGHUP stays ignored."""
+    A SIGHUP (the terminal was closed) counts only if it is the first signal. Under `nohup`, SIGHUP is ignored."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -285,14 +293,14 @@ class _Signals:
         numbers = [signal.SIGINT, signal.SIGTERM]
         if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
             numbers.append(signal.SIGHUP)
-        self._before = {number: signal.signal(number, self._take) for number in numbers}
+        self._before = {number: signal.signal(number, self._count) for number in numbers}
         return self
 
     def __exit__(self, *error: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _take(self, number: int, frame: FrameType | None) -> None:
+    def _count(self, number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP and self.count:
             return
         self.count += 1
@@ -302,16 +310,16 @@ class _Signals:
 
 
 def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointFile:
-    """Open the checkpoint file.
+    """Open the checkpoint file of the robot.
 
-    It is beside the bundle's folder, so that the bundle can be replaced as a whole.
+    The file is beside the bundle's folder, so that the bundle can be replaced as a whole.
     """
 
     def warn(text: str) -> None:
-        _say("warning", text)
+        _print_message("warning", text)
 
     if settings.state is None:
-        warn("state: nothing is persisted, so if this program dies, the robot cannot rejoin its mission")
+        warn("state: nothing is persisted (`state` is null), so the robot cannot rejoin its mission if its agent dies")
         path = None
     else:
         path = root.resolve().parent / settings.state / f"{settings.robot}.state"
@@ -320,46 +328,47 @@ def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointF
 
 def _open_trace(settings: Settings) -> Trace:
     def warn(text: str) -> None:
-        _say("warning", text)
+        _print_message("warning", text)
 
     if settings.trace is None:
         return Trace(None, warn)
     path, limit = Path(settings.trace).resolve(), settings.trace_limit
     try:
-        if limit is not None and (path.is_file() or not path.exists()):  # a pipe or a device has no parts
-            return Trace(Parts(path, settings.robot, round(limit * MEGABYTE)), warn)
+        if limit is not None and (path.is_file() or not path.exists()):  # only regular files are split into parts
+            return Trace(TraceFileParts(path, settings.robot, round(limit * MEGABYTE)), warn)
         set_aside(path)
-        return Trace(path.open("wb"), warn)  # closed at the end of the run
+        return Trace(path.open("wb"), warn)  # `_run` closes the trace
     except OSError as error:
         raise CannotOpen(f"trace: {settings.trace}: {error.strerror or error}") from None
 
 
 def _fail(message: str, hint: str, status: int) -> int:
-    _say("error", message + (f"\n  help: {hint}" if hint else ""))
+    _print_message("error", message + (f"\n  help: {hint}" if hint else ""))
     return status
 
 
-def _say(level: str, text: str) -> None:
+def _print_message(level: str, text: str) -> None:
     _print(f"{level}: {text}")
 
 
 def _print(line: str) -> None:
-    """Print to standard error without blocking; text that it does not accept at once is dropped.
+    """Print a line to standard error without blocking.
 
-    A closed or halted terminal (Ctrl-S, a broken ssh connection) must not stop the control loop of a flying robot."""
+    Text that standard error does not accept at once is dropped. A halted or closed terminal (Ctrl-S, a
+    broken ssh connection) must not stop the control loop of a flying robot."""
     text = line + "\n"
     with suppress(OSError, ValueError):
         for at in range(0, len(text), PIECE):
-            if not _takes(sys.stderr):
+            if not _is_writable(sys.stderr):
                 return
             sys.stderr.write(text[at : at + PIECE])
             sys.stderr.flush()
 
 
-def _takes(stream: TextIO) -> bool:
-    """Return whether a piece of text can be written without waiting."""
+def _is_writable(stream: TextIO) -> bool:
+    """Return whether a short text can be written to the stream without waiting."""
     try:
         number = stream.fileno()
-    except (OSError, ValueError):  # not a real file
+    except (OSError, ValueError):  # the stream has no file descriptor
         return True
     return bool(select.select([], [number], [], 0.0)[1])

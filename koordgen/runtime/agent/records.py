@@ -10,10 +10,11 @@ KEPT = 8  # number of last rounds whose private variables can be recovered after
 
 
 class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Mission that this robot takes part in.
+    """Record of the mission that this robot takes part in.
 
     epoch: id of the mission.
-    start: start of round 1 in microseconds of fleet time. init: the robot's encoded round-0 entry.
+    start: start of round 1 in microseconds of fleet time.
+    init: the robot's encoded round-0 entry.
     """
 
     epoch: bytes
@@ -22,10 +23,10 @@ class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Private state of a robot after its event of a round.
+    """Record of a robot's private state after the event of a round.
 
-    round: the event's round.
-    incarnation: incarnation of the robot that ran the event.
+    round: round of the event.
+    incarnation: incarnation of the robot when it ran the event.
     locals: private variables, encoded by LocalsCodec.
     actuators: latest actuator values, encoded by LocalsCodec.
     stopped: whether the program has stopped the robot.
@@ -39,14 +40,14 @@ class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class Acceptor(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """State of the robot as a Paxos acceptor of views.
+    """Record of a robot's state as a Paxos acceptor of views.
 
     view: present view, encoded.
     applied: last round that the robot has reported as applied in the present view.
-    number: number of the view that the promise and the vote below are for.
-    promised: ballot promised.
+    number: number of the view that `promised`, `accepted_ballot` and `accepted` are about.
+    promised: ballot for which the robot has promised.
     accepted_ballot: ballot in which the robot has voted.
-    accepted: view that it has voted for, encoded; empty without a vote.
+    accepted: view that the robot has voted for, encoded; empty without a vote.
     """
 
     view: bytes
@@ -62,7 +63,10 @@ Kept = Mission | Locals | Acceptor
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """Records of a checkpoint: the newest of each kind; in `locals`, of the last KEPT rounds, ascending."""
+    """Records of a checkpoint: the newest of each kind.
+
+    `locals` has the newest record of each of the last KEPT rounds, ascending.
+    """
 
     mission: Mission | None = None
     locals: tuple[Locals, ...] = ()
@@ -72,8 +76,8 @@ class Loaded:
 class Identity(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """Identity of a checkpoint file: format, program and robot.
 
-    rooms: largest size in bytes of a record of each kind.
-    token: random, new after each erasure. The digests of records depend on it, so older records become invalid.
+    rooms: for each kind of record, the largest size in bytes.
+    token: random bytes, new after each erasure. Digests of records depend on the token, so erased records are invalid.
     """
 
     format: int

@@ -1,9 +1,9 @@
-"""Rounds of a mission on one robot: in each, at most one event runs, and one entry is sent to all.
+"""Rounds of a mission on one robot: in each round, at most one event runs and one entry is sent.
 
-Round r begins at start + (r-1) delta of fleet time. The event of round r needs the entries of round r-1 of all members.
-Entries that are missing at the beginning of the round may still arrive until the publish deadline. The robot requests
-them, and skips its event if they do not arrive. Rounds follow the clock: a robot that wakes late continues with the
-present round, and closes the rounds that it missed without events."""
+Round r begins at start + (r-1) * delta of fleet time. The event of round r needs the entries of round r-1 of all
+members. Entries that are missing at the beginning of the round may still arrive until the publish deadline. The robot
+requests missing entries, and skips its event if they do not arrive. Rounds follow the clock: a robot that wakes late
+continues with the present round, and closes the missed rounds without events."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from koordgen.runtime.program.runner import (
     NOT_CURRENT,
     STOPPED,
     WOKE_LATE,
-    Outcome,
+    EventResult,
     Runner,
 )
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Observation
-from koordgen.runtime.trace.writer import Observe, Record
+from koordgen.runtime.trace.writer import Observe, RoundRecord
 from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
 from koordgen.runtime.vehicle.platform import Sensed
 
-PUBLISH = 0.5  # publish deadline, as a fraction of the round: the round's entry must be sent by then
-PUNCTUAL = 0.5  # fraction of a tick; a robot that wakes later than that after its due time counts as late
+PUBLISH = 0.5  # publish deadline as a fraction of the round; the round's entry must be sent before the deadline
+PUNCTUAL = 0.5  # fraction of a tick; a robot counts as late if it wakes later than this after the time it was due
 GATHER = 300e-6  # seconds to wait per missing entry, so that several received entries are handled together
-MOST_GATHER = 0.2  # limit of the wait for all missing entries, as a fraction of the round (one tick)
-LINGER = 20  # number of rounds for which a robot still answers other robots after all have stopped
+MOST_GATHER = 0.2  # longest wait for all missing entries together, as a fraction of the round (one tick)
+LINGER = 20  # number of rounds for which a robot still answers other robots after all robots have stopped
 
 
 @dataclass(slots=True)
@@ -52,24 +52,24 @@ class _Present:
 
     open: bool = False
     sensed: Sensed | None = None
-    tick: int = -1  # the last tick of the round that was handled
-    acknowledged: bool = False  # the report that this robot has applied the round was sent to the robots that wait
+    tick: int = -1  # last tick of the round that was handled
+    acknowledged: bool = False  # the robots that wait know that this robot has applied the round
 
 
 class Lost(Exception):
-    """The robot cannot continue in the mission; the message says why."""
+    """Raised if the robot cannot continue in the mission. The message says why."""
 
 
 class Rounds:
-    """One robot's rounds.
+    """Rounds of one robot.
 
-    runner: runs the program's events.
-    driver: the replica of the shared store. Its persisted private state is a pair: a Life (private variables and
-        actuator values after an event), and the robot's incarnation.
+    runner: runs the events of the program.
+    driver: drives the replica of the shared store. The private state that it persists is a pair: a Life (private
+        variables and actuator values after an event), and the robot's incarnation.
     start: fleet time of round 1, in seconds.
     delta: duration of a round, in seconds.
-    lives: private states to continue from, by ascending round.
-    observe: called with the record of each round once the round is committed.
+    lives: private states from which the robot may continue, by ascending round.
+    observe: function that is called with the record of each round once the round is committed.
     """
 
     def __init__(
@@ -93,22 +93,22 @@ class Rounds:
         self._start = start
         self._delta = delta
         self._observe = observe
-        self.round = 0  # the present round; 0 before the first
+        self.round = 0  # the present round; 0 before round 1
         self._present = _Present()
         self._wake = math.inf  # local time at which `poll` must be called next
         self._policy = self._replica.policy
         self._left = False
-        self._handled = 0  # the last applied round that was settled and acknowledged
-        self._restored: Life | None = None  # private state restored by a rejoin, to be noted in the next record
-        self._outbox = OutputCommit(lives[0])
-        self._outbox.lives = list(lives)
+        self._handled = 0  # last applied round whose outputs were handled and whose application was reported
+        self._restored: Life | None = None  # private state that a rejoin has restored; the next record reports it
+        self._outputs = OutputCommit(lives[0])
+        self._outputs.lives = list(lives)
         self._store_changes = self._replica.store_changes
-        self._view = self._replica.views.view.number  # the latest view in which this robot has sent a report
-        self.stopped = self._outbox.life.stopped
+        self._view = self._replica.views.view.number  # number of the latest view in which this robot has sent a report
+        self.stopped = self._outputs.life.stopped
         self.counters = RoundCounters()
-        self.reason: str | None = None  # reason why no event ran in the last closed round; None if one ran
-        self.watched = False  # true if monitors need `moment`
-        self.moment: Observation | None = None  # observation at the beginning of the last closed round
+        self.reason: str | None = None  # reason why no event ran in the last closed round; None if an event ran
+        self.watched = False  # True if monitors need `observation`
+        self.observation: Observation | None = None  # observation at the beginning of the last closed round
 
     @property
     def lacking(self) -> list[str]:
@@ -118,13 +118,13 @@ class Rounds:
 
     @property
     def over(self) -> bool:
-        """True if all members have stopped, and LINGER rounds have passed since."""
+        """True if LINGER rounds have passed since all members stopped."""
         state = self._replica.state
         since = None if state is None or not (self.stopped or self._left) else state.all_stopped
         return since is not None and self.round > since + LINGER
 
     def ripe(self, now: float) -> bool:
-        """Return whether the next round has begun and all entries that its event needs are here."""
+        """Return whether the next round has begun and all entries that its event needs have arrived."""
         state, present = self._replica.state, self._present
         if state is None or present.open or state.applied != self.round or not self.round:
             return False
@@ -132,15 +132,15 @@ class Rounds:
 
     @property
     def calm(self) -> bool:
-        """True if no more entries are expected in this round, so there is time for work that is not urgent."""
+        """True if no more entries are expected in this round, so that less urgent work may be done."""
         state, present = self._replica.state, self._present
         return not present.open and (state is None or state.applied >= self.round or present.tick >= REQUEST_TICK)
 
     @property
     def expects(self) -> tuple[int, float]:
-        """Number of entries still missing for the closed round, and seconds to wait for them together.
+        """Number of entries that are missing for the present round, and seconds to wait for all of them.
 
-        Waking for each single entry would cost more than all other work. If no entry is missing: 1 and 0 s.
+        Waking for each single entry would cost more than all other work. If no entry is missing, return 1 and 0 s.
         """
         state, at_once = self._replica.state, self._present.open and not self._policy.is_strained(self.round)
         if state is None or at_once or state.applied >= self.round or not state.lacking:
@@ -148,7 +148,7 @@ class Rounds:
         return state.lacking, min(GATHER * state.lacking, MOST_GATHER * self._delta)
 
     def leave(self) -> None:
-        """Run no more events: close all further rounds without an event."""
+        """Run no more events. All further rounds are closed without an event."""
         self._left = True
 
     def receive(self, messages: Sequence[ReplicaMessage]) -> None:
@@ -156,11 +156,11 @@ class Rounds:
         self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
-        """Do all work that is due at local time `now` (s). Return the latest time for the next call.
+        """Do all work that is due at local time `now` (s). Return the latest local time for the next call.
 
         Raises Lost.
 
-        sense: samples the sensors at a local time.
+        sense: function that samples the sensors at a local time.
         unready: reason why the vehicle does not allow an event; None if it does.
         """
         elapsed = self._clock.read(now) - self._start
@@ -172,14 +172,14 @@ class Rounds:
             self._begin(round_, sense(now))
         present = self._present
         into = elapsed - (self.round - 1) * self._delta
-        tick = max(0, min(TICKS - 1, math.floor(into / self._delta * TICKS + 1e-6)))  # it may have begun by rounding
+        tick = max(0, min(TICKS - 1, math.floor(into / self._delta * TICKS + 1e-6)))  # rounding may begin a round early
         fresh = tick > present.tick
         on_time = fresh and now < self._wake + PUNCTUAL * self._delta / TICKS
         state = self._replica.state
         ripe = fresh and present.open and state is not None and state.applied == self.round - 1
         if fresh:
             present.tick = tick
-            if not ripe:  # otherwise run the event first, because all other robots wait for this robot's entry
+            if not ripe:  # an event that is ripe runs first, because all other robots wait for its entry
                 self._driver.tick((self.round - 1) * TICKS + tick)
                 state = self._replica.state
         if state is not None and not present.open and self._is_calm(state):
@@ -193,21 +193,21 @@ class Rounds:
         return self._wake
 
     def _run(self, now: float, into: float, unready: str | None) -> None:
-        """Handle changes of the store and the view, then run the event or close the round if it is time."""
+        """Handle a changed store or view. Then run the event or close the round, if it is time."""
         state = self._replica.state
         if state is None:
-            for record in self._outbox.ready(None):
+            for record in self._outputs.ready(None):
                 self._observe(record)
             if self._present.open:
                 self._decide(now, into, False, unready)
             return
         if self._store_changes != self._replica.store_changes:
             self._come_back(state, now)
-        if state.view.number != self._view:  # rounds are committed only after robots have sent reports in the new view
+        if state.view.number != self._view:  # without reports in the new view, no round is committed
             self._view = state.view.number
             self._replica.send_report(self.round)
             self._driver.flush()
-        if self._outbox.pressing:
+        if self._outputs.pressing:
             self._settle(now)
         if self._present.open:
             is_member = state.view.members[self._pid] >= 0
@@ -220,9 +220,9 @@ class Rounds:
     def _is_calm(self, state: StateMachine) -> bool:
         """Return whether the store, the view and the waiting records are unchanged since the last poll."""
         same = self._store_changes == self._replica.store_changes and state.view.number == self._view
-        return same and state.applied == self._handled and not self._outbox.can_settle(state)
+        return same and state.applied == self._handled and not self._outputs.can_settle(state)
 
-    def _moment_of(self, part: float) -> float:
+    def _local_time_at(self, part: float) -> float:
         """Return the local time at which the fraction `part` of the present round has passed."""
         return self._clock.local(self._start + (self.round - 1 + part) * self._delta)
 
@@ -239,11 +239,11 @@ class Rounds:
         """Continue after a rejoin, with the private state after this robot's last event that the fleet counts."""
         self._store_changes = self._replica.store_changes
         acted = state.acted[self._pid]
-        life, records = self._outbox.settle(acted)
+        life, records = self._outputs.settle(acted)
         if life is None:
             raise Lost(
-                f"the last event of this robot that the others count is that of round {acted}, and its own variables "
-                "of that round are not stored any more: it cannot rejoin this mission"
+                f"the last event of this robot that counts was in round {acted}, and the robot's private variables "
+                "after that round are no longer stored: it cannot rejoin this mission; end all robots and start again"
             )
         self._runner.locals, self.stopped = life.locals, life.stopped
         self._restored = life
@@ -251,35 +251,35 @@ class Rounds:
         self._body.hold(STOPPED, self.stopped, now)
         for record in records:
             self._observe(record)
-        # The other robots have no entry of this round with the new incarnation: send one.
+        # The other robots have no entry of this round with the robot's new incarnation, so a silent entry is sent.
         if not self._present.open and self._replica.published < self.round:
             self._replica.propose(self.round, {}, stopped=self.stopped)
             self._driver.run()
 
     def _settle(self, now: float) -> None:
         """Carry out the outputs of committed events, and handle transactions whose result is known."""
-        state, outbox = self._replica.state, self._outbox
+        state, outputs = self._replica.state, self._outputs
         assert state is not None
-        won = outbox.decide(state)
+        won = outputs.decide(state)
         if won:
-            self._runner.locals = outbox.life.locals
-            self.stopped = self.stopped or outbox.life.stopped
+            self._runner.locals = outputs.life.locals
+            self.stopped = self.stopped or outputs.life.stopped
         elif won is False:
             self.counters.gave_way += 1
-            # The checkpoint holds a limited number of private states. Overwrite that of the lost transaction, so that
-            # repeated losses never push out a state that counts.
-            self._driver.persist_private((outbox.life, state.view.members[self._pid]))
-        for record in outbox.ready(state):
+            # The checkpoint holds few private states. Overwrite the state after the lost transaction, so that repeated
+            # losses never push a valid state out of the checkpoint.
+            self._driver.persist_private((outputs.life, state.view.members[self._pid]))
+        for record in outputs.ready(state):
             effects = record.effects
             if effects is not None:
                 self._body.command(effects.actuators, now)
                 self._body.hold(STOPPED, effects.stopped or self.stopped, now)
             self._observe(record)
-        if outbox.first is None:
+        if outputs.first is None:
             self._body.hold(NOT_CONFIRMED, False, now)
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
-        """Run an event, close the round without one, or keep it open for entries that may still arrive.
+        """Run an event, or close the round without an event, or keep the round open for missing entries.
 
         into: seconds since the beginning of the round.
         current: the store contains all earlier rounds, and this robot is a member.
@@ -307,24 +307,26 @@ class Rounds:
         self.counters.current += current
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
         self.reason = reason
-        self.moment = self._moment(now, sensed.time, sensors, current) if self.watched and not self._left else None
+        self.observation = (
+            self._observation(now, sensed.time, sensors, current) if self.watched and not self._left else None
+        )
         self._body.hold(NOT_CURRENT, lagging and not current, now)
-        self._body.hold(NOT_CONFIRMED, self._outbox.first is not None, now)
+        self._body.hold(NOT_CONFIRMED, self._outputs.first is not None, now)
         if reason is not None:
             self.counters.skipped += 1
             self._close()
-            self._wait(Record(self.round, now, into, sensors, None, skipped=reason))
+            self._wait(RoundRecord(self.round, now, into, sensors, None, skipped=reason))
             return
         state = self._replica.state
         assert state is not None
         self._body.others(state.shared)
         frame = self._runner.frame(state.shared, sensors, self._body.actuators, self._body.call)
-        self._finish(self._runner.step(frame, self._moment_of(PUBLISH)), frame, now, into)
+        self._finish(self._runner.step(frame, self._local_time_at(PUBLISH)), frame, now, into)
 
-    def _moment(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Observation:
+    def _observation(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Observation:
         """Return the observation for monitors: sensors, variables and actuators before this round's event."""
         state, own, body = self._replica.state, self._runner.locals, self._body.actuators
-        if state is None or self._outbox.first is not None or self._outbox.undecided:
+        if state is None or self._outputs.first is not None or self._outputs.undecided:
             return Observation(self.round, now, SENSED, sensed, sensors, own, {}, body)
         return Observation(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
 
@@ -335,10 +337,10 @@ class Rounds:
             return self._replica.status
         if not current:
             if state.is_frozen:
-                return f"{NOT_CURRENT}: the fleet decides who counts"
+                return f"{NOT_CURRENT}: the fleet decides which robots count"
             return f"{NOT_CURRENT}: lacks {', '.join(self.lacking)}"
-        if self._outbox.first is not None or self._outbox.undecided:
-            unaware = self._replica.unaware(self._outbox.first or round_ - 1)
+        if self._outputs.first is not None or self._outputs.undecided:
+            unaware = self._replica.unaware(self._outputs.first or round_ - 1)
             return (
                 f"{NOT_CONFIRMED}: waits for the acknowledgement of a majority, not heard from {self._named(unaware)}"
             )
@@ -351,23 +353,23 @@ class Rounds:
     def _named(self, pids: list[int]) -> str:
         return ", ".join(self._names[p] for p in pids)
 
-    def _finish(self, outcome: Outcome, frame: Frame, now: float, into: float) -> None:
-        """Close a round after its event; the record is made after the entry was sent, which is urgent."""
-        fault, effects = outcome.fault, outcome.effects
+    def _finish(self, result: EventResult, frame: Frame, now: float, into: float) -> None:
+        """Close a round after its event. The entry is urgent, so it is sent before the record is made."""
+        fault, effects = result.fault, result.effects
         self._body.hold(FAULT, fault is not None, now)
-        life = self._close(effects, outcome.lock)
+        life = self._close(effects, result.lock)
         if fault is not None:
             self.counters.faults += 1
             self.counters.discarded += fault.reason == LATE
         skipped = None if effects is not None else NO_EVENT if fault is None else FAULT
         calls = self._body.calls()
-        record = Record(self.round, now, into, frame.sensors, frame, outcome.event, effects, skipped, fault, calls)
-        self._wait(record, outcome.lock, life)
+        record = RoundRecord(self.round, now, into, frame.sensors, frame, result.event, effects, skipped, fault, calls)
+        self._wait(record, result.lock, life)
 
     def _close(self, effects: Effects | None = None, lock: int = -1) -> Life | None:
-        """Persist the private state after the event, send the round's entry, and return the state.
+        """Persist the private state after the event, send the round's entry, and return the private state.
 
-        Returns None if the round had no event with effects.
+        Return None if the round had no event with effects.
         """
         state = self._replica.state
         self._present.open = False
@@ -388,25 +390,25 @@ class Rounds:
         self._driver.run()
         return life
 
-    def _wait(self, record: Record, lock: int = -1, life: Life | None = None) -> None:
-        """Store a round's record until the round is committed."""
+    def _wait(self, record: RoundRecord, lock: int = -1, life: Life | None = None) -> None:
+        """Queue the record of a round until the round is committed."""
         if self._restored is not None:
             record, self._restored = replace(record, restored=self._restored), None
-        self._outbox.add(record, lock, life)
+        self._outputs.add(record, lock, life)
 
     def _acknowledge(self, applied: int) -> None:
-        """Report that this robot has applied the present round to the robots that wait for this report."""
+        """Report that this robot has applied the present round, to the robots that wait for this report."""
         if applied >= self.round and not self._present.acknowledged:
             self._present.acknowledged = True
             self._replica.acknowledge(self.round)
             self._driver.flush()
 
     def _request(self, tick: int, fresh: bool, on_time: bool) -> float:
-        """Request missing entries and reports that are overdue; return the local time for the next call."""
+        """Request overdue entries and reports. Return the local time at which `poll` must be called next."""
         present, state = self._present, self._replica.state
         if state is None:
             return self._next_tick(tick)
-        waited = self._outbox.first
+        waited = self._outputs.first
         if fresh and self._replica.request(tick, on_time, waited):
             self.counters.asked += 1
             self._driver.flush()
@@ -414,9 +416,9 @@ class Rounds:
         if present.open or missing or waited is not None or self._replica.is_busy:
             return self._next_tick(tick)
         if tick < REQUEST_TICK and (state.applied < self.round or self._replica.emergency):
-            return self._moment_of(REQUEST_TICK / TICKS)
-        return self._moment_of(1.0)
+            return self._local_time_at(REQUEST_TICK / TICKS)
+        return self._local_time_at(1.0)
 
     def _next_tick(self, tick: int) -> float:
         next_ = TICKS if self._policy.is_hurried(self.round) and not self._replica.is_busy else tick + 1
-        return self._moment_of(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))
+        return self._local_time_at(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))

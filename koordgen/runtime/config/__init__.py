@@ -1,6 +1,6 @@
-"""Settings of one robot.
+"""Settings of one robot: reader of the bundle's file `settings.json`.
 
-Owns: `settings.json`, typed and checked.
-Offers: `Settings` and the readers of its parts.
-Must not import: any package but `values`.
+Owns: the types of all settings, and the checks of their ranges.
+Offers: `Settings`, the types of its parts, and `load`.
+Must not import: any package except `values`.
 """

@@ -1,6 +1,6 @@
-"""Settings of a robot.
+"""Settings of a robot: types and reader of the file `settings.json` in the robot's bundle.
 
-`settings.json` of its bundle, written by `koordgen build --fleet`, read and typed here."""
+`koordgen build --fleet` writes this file."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ import msgspec
 from koordgen.runtime.values.obstacles import Obstacle
 from koordgen.runtime.values.points import Point
 
-Action = Literal["off", "log", "hold", "land", "stop"]  # reaction to a violated property; off: it is not evaluated
+Action = Literal["off", "log", "hold", "land", "stop"]  # reaction to a violated property; off: it is never evaluated
 
-RELEASE = "RELEASE"  # file of a bundle that names the release it was built in
+RELEASE = "RELEASE"  # file in a bundle that contains the id of the bundle's release
 
 
 class BadSettings(Exception):
-    """A settings file that cannot be used; the message names the file and the key."""
+    """Raised for a settings file that cannot be used. The message names the file and the setting."""
 
 
-# The ranges are those of the fleet file (a test compares them). They are checked here as well, because an operator may
-# edit the settings on the robot.
+# The ranges in this module equal the ranges in the fleet file; a test compares them. The settings are checked again on
+# the robot, because an operator may have edited them there.
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.05, le=10000.0)]
 
 
 class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Address at which one robot receives its datagrams. Its index in `peers` is its pid."""
+    """Robot of the fleet, and the address at which it receives datagrams. Its pid is its index in `peers`."""
 
     name: str
     host: str
@@ -38,7 +38,7 @@ class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """WGS-84 position of the fleet's local ENU frame: degrees, and metres above mean sea level (AMSL)."""
+    """Origin of the fleet's local ENU frame: WGS-84 degrees, and metres above mean sea level (AMSL)."""
 
     latitude: Annotated[float, msgspec.Meta(ge=-90, le=90)]
     longitude: Annotated[float, msgspec.Meta(ge=-180, le=180)]
@@ -46,7 +46,7 @@ class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Axis-aligned box: metres, local ENU."""
+    """Axis-aligned box between the corners `lo` and `hi`, in metres of the local ENU frame."""
 
     lo: Point
     hi: Point
@@ -55,33 +55,35 @@ class Box(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Thresholds of the safety layer, in seconds or rounds."""
 
-    position_stale: Seconds = 0.5  # seconds without a fresh own position, then hold
-    position_lost: Seconds = 2.0  # seconds without a fresh own position, then stop safely
-    # consecutive rounds without current shared state, then `missed_action`
+    position_stale: Seconds = 0.5  # seconds without a fresh own position after which the robot holds its position
+    position_lost: Seconds = 2.0  # seconds without a fresh own position after which the robot stops safely
+
+    # Number of consecutive rounds without current shared state after which `missed_action` applies.
     missed_rounds: Annotated[int, msgspec.Meta(ge=1, le=10000)] = 10
-    missed_action: Literal["hold", "rest"] = "hold"  # keep holding with a warning, or stop safely
-    # rounds without messages of a robot, then the others continue without it
+    missed_action: Literal["hold", "stop"] = "hold"  # hold: warn and keep holding; stop: stop safely
+
+    # Number of rounds without messages of a robot after which the other robots continue without that robot.
     peer_timeout: Annotated[int, msgspec.Meta(ge=3, le=10000)] = 10
-    outside_fence: Seconds = 0.5  # seconds outside the geofence, then stop safely
+    outside_fence: Seconds = 0.5  # seconds outside the geofence after which the robot stops safely
 
 
 class Network(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Transport of datagrams between robots.
+    """Settings of the transport that carries datagrams between robots.
 
-    `group` to `interface` are for multicast and broadcast, the rest for Zenoh, with endpoints such as
-    `udp/192.168.1.20:47100`."""
+    `group`, `port` and `interface` are for multicast and broadcast. `mode`, `listen` and `connect` are for Zenoh, whose
+    endpoints are texts such as `udp/192.168.1.20:47100`."""
 
     transport: Literal["unicast", "broadcast", "multicast", "zenoh"] = "unicast"
-    group: str = ""  # IPv4 address that all robots listen on
-    port: Port = 47000  # port of the group; differs from the robots' own ports
-    interface: str = ""  # address or name of the multicast interface; empty: that of the robot's own address
-    mode: Literal["peer", "router", "client"] = "peer"  # routers forward datagrams of others
-    listen: tuple[str, ...] | None = None  # endpoints; None: the robot's own address, or none for a client
-    connect: tuple[str, ...] | None = None  # endpoints; None: the robots of lower pid, so each pair connects once
+    group: str = ""  # IPv4 address on which all robots listen
+    port: Port = 47000  # port of the group; it differs from the robots' own ports
+    interface: str = ""  # address or name of the network interface; empty: the interface of the robot's own address
+    mode: Literal["peer", "router", "client"] = "peer"  # Zenoh mode; a router forwards datagrams of other robots
+    listen: tuple[str, ...] | None = None  # endpoints to listen on; None: the robot's own address, or none for a client
+    connect: tuple[str, ...] | None = None  # endpoints to connect to; None: robots of lower pid (one link per pair)
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All settings of one robot. `body` belongs to the target, which checks it."""
+    """All settings of one robot. The target checks the settings in `body`."""
 
     app: str
     robot: str
@@ -91,35 +93,39 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     origin: Origin
     geofence: Box
     application_id: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 0  # distinguishes fleets that share a network
-    key_file: str | None = None  # 32 bytes, mode 0600; relative to the settings file
-    insecure: bool = False  # run without a key, with a warning
+    key_file: str | None = None  # file of the fleet's key (32 bytes, mode 0600), relative to the settings file
+    insecure: bool = False  # True: the robot runs without a key and prints a warning
     safety: Safety = Safety()
     network: Network = Network()
-    monitors: dict[str, Action] = {}  # by an invariant's name, "assume MODULE", "requires F", "ensures F", or "default"
+    # Property -> reaction. A property is an invariant's name, "assume MODULE", "requires F", "ensures F", or "default".
+    monitors: dict[str, Action] = {}
     body: dict[str, Any] = {}
-    trace: str | None = None  # JSON lines, one a round
-    # megabytes (10^6 bytes) of all parts of the trace together; None: no limit
+    trace: str | None = None  # path of the trace; None: no trace is written
+
+    # Largest size of all parts of the trace together, in megabytes (10^6 bytes); None: no limit.
     trace_limit: Annotated[float, msgspec.Meta(ge=1.0, le=1e6)] | None = 256.0
-    # seconds that a planner call within an event may take; longer calls are counted and reported
+    # Seconds that a planner call within an event may take. Longer calls are counted and reported.
     planner_budget: Annotated[float, msgspec.Meta(ge=0.0005, le=1.0)] = 0.01
     obstacles: tuple[Obstacle, ...] = ()  # obstacles of the world, numbered from 0
     avoid: str = ""  # allread variable in which robots publish their paths; empty: planners ignore other robots
-    bind: str = ""  # address to listen on, if it differs from the one that peers send to
-    control: Port | None = None  # UDP port of control commands; None: `control_port`
-    release: Annotated[str, msgspec.Meta(pattern=r"\A([0-9a-f]{32})?\Z")] = ""  # from the bundle's file RELEASE
+    bind: str = ""  # address to listen on; empty: the address to which the other robots send
+    control: Port | None = None  # UDP port of control commands; None: the default of `control_port`
+    release: Annotated[str, msgspec.Meta(pattern=r"\A([0-9a-f]{32})?\Z")] = ""  # release id from the file RELEASE
     state: str | None = "state"  # folder of persistent state, beside the bundle; None: nothing is persisted
 
     @property
     def control_port(self) -> int:
-        """UDP port of control commands: the robot's port plus 1000 (minus 1000 beyond 65535), unless set."""
+        """UDP port of control commands: `control`, or else the robot's port + 1000 (- 1000 above 65535)."""
         port = self.peers[self.pid].port
         return self.control or (port + 1000 if port + 1000 <= 65535 else port - 1000)
 
 
 def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> Settings:
-    """Read a settings file. Another file (tables merge, other values replace) and a pid may override it.
+    """Read the settings of a robot. Raises BadSettings.
 
-    Raises BadSettings."""
+    path: settings file of the bundle.
+    overrides: file with further settings, or None. Its tables are merged; its other values replace those in `path`.
+    pid: pid that replaces the pid in the files, or None."""
     merged = _read(path)
     base = path.parent
     if overrides is not None:
@@ -130,7 +136,7 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
     if pid is not None:
         merged["pid"] = pid
     if merged.get("release"):
-        raise BadSettings(f"{overrides or path}: a release is not set, it is read from the bundle's file {RELEASE}")
+        raise BadSettings(f"{overrides or path}: a release is not set here but in the file {RELEASE}; remove `release`")
     merged["release"] = _release(path.parent / RELEASE)
     try:
         settings = msgspec.convert(merged, Settings)
@@ -144,7 +150,7 @@ def load(path: Path, overrides: Path | None = None, pid: int | None = None) -> S
 
 
 def _release(path: Path) -> str:
-    """Return the content of a bundle's file RELEASE; "" if it was built without a fleet file."""
+    """Return the content of a bundle's file RELEASE; "" if the bundle was built without a fleet file."""
     try:
         return path.read_text(encoding="ascii").strip()
     except FileNotFoundError:
@@ -161,12 +167,12 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise BadSettings(f"{path}: not JSON: {error}") from None
     if not isinstance(value, dict):
-        raise BadSettings(f"{path}: a JSON object is expected")
+        raise BadSettings(f"{path}: the file must contain a JSON object")
     return value
 
 
 def _finite(text: str) -> float:
-    """Refuse NaN and infinity: a NaN threshold is never passed, and such a fence never holds."""
+    """Convert a finite number. Raises ValueError for infinity and NaN: a NaN threshold is never exceeded."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text} is not a finite number")

@@ -1,6 +1,6 @@
 """Monitors: evaluate the program's properties on a robot during the mission.
 
-Owns: three-valued verdicts of one robot, their explanation in words, the processor time that they may take.
+Owns: one robot's verdicts on properties, the text that explains a violation, the CPU budget of the evaluation.
 Offers: `Monitor`.
 Must not import: `ops` or `agent`.
 """

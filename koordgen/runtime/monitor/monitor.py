@@ -1,8 +1,8 @@
-"""Monitors of one robot: evaluate invariants, port assumptions and contracts on values it knows.
+"""Monitors of one robot: evaluate invariants, port assumptions and contracts on the values that the robot knows.
 
-An invariant is evaluated at the start of a round, on committed data: the robot's own sensors and variables, and its
-replica of the store, all of the same time; other robots' ports and locals are unknown. A port assumption is evaluated
-from right after a round's event to the next round's sensors. Nothing here raises."""
+An invariant is evaluated at the start of a round, on committed values of one time: the robot's own sensors and
+variables, and its copy of the shared variables. Ports and local variables of other robots are unknown. A port
+assumption is evaluated on a step: from the state after a round's event to the sensor values of the next round."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from koordgen.runtime.program.program import Effects
 from koordgen.runtime.program.property import (
     UNKNOWN,
     Assumption,
-    Bound,
+    BoundName,
     Known,
     Outcome,
     Properties,
@@ -36,46 +36,46 @@ from koordgen.runtime.trace.monitored import (
     Observation,
     usable,
 )
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
-from koordgen.runtime.vehicle.safety import GO, Verdict
+from koordgen.runtime.vehicle.safety import GO, SafetyVerdict
 
-SHARE = 0.03  # share of the agent's CPU time for properties that are only logged
-LONGEST_WAIT = 50  # rounds after which a property is evaluated regardless of its cost
-BUDGET = 0.1  # time for all properties of one round, as a share of the round's duration
-MOST_OVERRUNS = 3  # number of overruns of that time after which a property is switched off at the next one
-LOOPS = "loop invariants"  # name of all loop invariants in the settings
+SHARE = 0.03  # share of the agent's CPU time for the evaluation of properties that are only logged
+LONGEST_WAIT = 50  # after this number of rounds a property is evaluated regardless of the CPU budget
+BUDGET = 0.1  # largest duration of the evaluation of all properties in a round, as a share of the round
+MOST_OVERRUNS = 3  # a property that exceeds the largest duration more often is switched off
+LOOPS = "loop invariants"  # name in the settings that stands for all loop invariants
 
-Tell = Callable[[Change], None]
+Report = Callable[[Change], None]
 
 
 class Monitors:
     """Monitors of one robot.
 
-    Call `look` with each round's observation after its entry was sent, and `hear` with each round's record once it is
-    committed. `verdict` is the reaction that violated properties demand. `limit` interrupts long evaluations.
-    Properties that are only logged are evaluated as far as the CPU time `cpu` allows, the least recently evaluated
-    first; properties with an action always."""
+    The agent calls `look` with the observation of each round after it has sent the round's entry, and `hear` with the
+    record of each committed round. `verdict`: reaction that violated properties require. `limit`: interrupts long
+    evaluations. Properties with an action are always evaluated. Properties that are only logged are evaluated as far as
+    the CPU budget allows, the least recently evaluated property first. `cpu`: clock of the CPU time."""
 
     def __init__(
-        self, found: Properties | None, settings: Settings, tell: Tell, limit: Limit, cpu: Cpu | None = None
+        self, found: Properties | None, settings: Settings, report: Report, limit: Limit, cpu: Cpu | None = None
     ) -> None:
         self.verdict = GO
         self._pid, self._names = settings.pid, tuple(p.name for p in settings.peers)
-        self._delta, self._patience = settings.delta, settings.safety.peer_timeout
+        self._delta, self._stale_after = settings.delta, settings.safety.peer_timeout
         self._actions = settings.monitors
-        self._tell, self._limit, self._cpu = tell, limit, cpu
+        self._report, self._limit, self._cpu = report, limit, cpu
         self._round = 0
         self._invariants: list[MonitoredProperty] = []
         self._assumptions: list[MonitoredProperty] = []
-        # broken contracts, each with the event that broke it
+        # broken contract -> its property, and the event that broke the contract
         self._contracts: dict[Contract, tuple[MonitoredProperty, str | None]] = {}
         self._loops: dict[
             int, tuple[MonitoredProperty, str | None]
-        ] = {}  # false loop invariants by line, each with its event
+        ] = {}  # line of a false loop invariant -> its property and event
         self._off: list[MonitoredProperty] = []
-        self._last: Record | None = None
-        self._actuators: Mapping[str, Any] | None = None  # after the last record's round
+        self._last: RoundRecord | None = None
+        self._actuators: Mapping[str, Any] | None = None  # values after the last recorded round
         self._found = found
         if found is not None:
             self._watch(found)
@@ -97,12 +97,12 @@ class Monitors:
                 self._assumptions.append(
                     MonitoredProperty("assume", a.module, f"{program.source}:{a.line}", action, a, frozenset(a.reads))
                 )
-        # Separate budgets, so that neither group takes all the time.
+        # Invariants and assumptions have separate budgets, so that neither group uses all the CPU time.
         share = SHARE / 2 if self._invariants and self._assumptions else SHARE
         self._invariant_time, self._assumption_time = CpuBudget(self._cpu, share), CpuBudget(self._cpu, share)
         names = sorted(frozenset[str]().union(*(watched.reads for watched in self._invariants)))
         self._reading = [(name, place.get(name, OWN)) for name in names]
-        self._values: dict[str, Any] = {}  # last values read
+        self._values: dict[str, Any] = {}  # name -> value read last
         self._rows = {name: [UNKNOWN] * n for name in self._known.each}
         one = self._step.one
         primed = frozenset[str]().union(*(watched.reads for watched in self._assumptions))
@@ -118,65 +118,65 @@ class Monitors:
 
     @property
     def watched(self) -> list[MonitoredProperty]:
-        """All properties with a verdict, or that may get one."""
+        """All properties that have a verdict or may get a verdict."""
         noted = (watched for watched, _ in (*self._contracts.values(), *self._loops.values()))
         return [*self._invariants, *self._assumptions, *self._off, *noted]
 
     @property
     def wanted(self) -> bool:
-        """True if observations are needed."""
+        """True if a property needs observations of rounds."""
         return bool(self._invariants or self._assumptions)
 
-    def look(self, moment: Observation | None) -> None:
-        """Evaluate invariants on the present round's observation, once per round.
+    def look(self, observation: Observation | None) -> None:
+        """Evaluate the invariants on the observation of the present round. Repeated calls in a round do nothing.
 
-        An exception here is an internal error: it switches all invariants off."""
-        if moment is None or moment.round == self._round:
+        An exception is an internal error. It switches all invariants off and is raised again."""
+        if observation is None or observation.round == self._round:
             return
-        self._round = moment.round
+        self._round = observation.round
         if self._invariants:
             try:
-                self._look(moment)
+                self._look(observation)
             except Exception:
                 self._invariants = []
                 raise
 
-    def _look(self, moment: Observation) -> None:
+    def _look(self, observation: Observation) -> None:
         if not self._invariant_time.begin() and not self._is_urgent(self._invariants):
             return
-        changed = self._put(moment)
-        old = moment.age(self._delta)
+        changed = self._put(observation)
+        old = observation.age(self._delta)
         due = []
         for watched in self._invariants:
             watched.due = watched.due or not changed.isdisjoint(watched.reads)
-            if watched.needs > moment.certain:
-                self._wait(watched, moment)
+            if watched.needs > observation.committed:
+                self._wait(watched, observation)
             elif watched.due:
                 due.append(watched)
-            else:  # the values are unchanged, so the verdict is confirmed
-                watched.true = moment.round - (old if watched.senses else 0)
+            else:  # all values that the property reads are unchanged, so its verdict is confirmed
+                watched.true = observation.round - (old if watched.senses else 0)
         if due:
-            self._judge(due, self._known, self._invariant_time, moment.time, moment.round, old)
+            self._judge(due, self._known, self._invariant_time, observation.time, observation.round, old)
         self._invariant_time.end()
 
     def _is_urgent(self, asked: list[MonitoredProperty]) -> bool:
-        """Return whether a property must be evaluated without regard to CPU time."""
+        """Return whether at least one of the properties must be evaluated even without CPU budget."""
         return any(self._round - w.true >= LONGEST_WAIT or w.action != "log" for w in asked)
 
-    def _wait(self, watched: MonitoredProperty, moment: Observation) -> None:
-        """Set a property to unknown if its data are uncommitted for too long."""
-        age = moment.round - watched.true
-        if age > self._patience and watched.outcome not in (None, "unknown"):
+    def _wait(self, watched: MonitoredProperty, observation: Observation) -> None:
+        """Set the verdict of a property to unknown if the values that it reads are uncommitted for too long."""
+        age = observation.round - watched.true
+        if age > self._stale_after and watched.outcome not in (None, "unknown"):
             watched.due = True
-            self._become(watched, "unknown", f"what it reads is {age} rounds old", moment.time, stale=True)
+            self._become(watched, "unknown", f"the values it reads are {age} rounds old", observation.time, stale=True)
 
-    def _put(self, moment: Observation) -> set[str]:
-        """Update the known values. Return the names of those that changed (by object identity)."""
+    def _put(self, observation: Observation) -> set[str]:
+        """Update the known values. Return the names of the changed values; a new object counts as a change."""
         known, values, changed = self._known, self._values, set()
         for name, place in self._reading:
-            if place > moment.certain:
+            if place > observation.committed:
                 continue
-            value = moment.value(name, place)
+            value = observation.value(name, place)
             if value is values.get(name):
                 continue
             values[name] = value
@@ -189,8 +189,10 @@ class Monitors:
                 known.each[name].values = row
         return changed
 
-    def hear(self, record: Record) -> None:
-        """Evaluate assumptions and contracts on a round's record. Call in order of rounds."""
+    def hear(self, record: RoundRecord) -> None:
+        """Evaluate the assumptions and contracts on the record of a committed round.
+
+        The agent passes the records in the order of their rounds."""
         last, self._last = self._last, record
         actuators = self._actuators if record.frame is None else record.frame.actuators
         if record.restored is not None:
@@ -206,7 +208,7 @@ class Monitors:
             self.ran(record.effects, record.event, record.round, record.time)
 
     def ran(self, effects: Effects, event: str | None, round_: int, time: float) -> None:
-        """Record loop invariants that were false in a committed event (None: `init`), or are true again."""
+        """Update the verdicts on loop invariants after a committed event. `event`: its name; None denotes `init`."""
         where = f"the event {event}" if event is not None else "init"
         for line in effects.violated:
             action = self._action(LOOPS)
@@ -223,10 +225,10 @@ class Monitors:
                 watched.true = round_
                 self._become(watched, "held", f"{where} ran through again", time)
 
-    def _assume(self, before: Record, after: Record, actuators: Mapping[str, Any]) -> None:
-        """Evaluate assumptions on the round of `before`.
+    def _assume(self, before: RoundRecord, after: RoundRecord, actuators: Mapping[str, Any]) -> None:
+        """Evaluate the assumptions on one step of the environment.
 
-        From right after its event to the next round's sensors."""
+        The step leads from the state after the event of round `before` to the sensor values of round `after`."""
         if not self._assumption_time.begin() and not self._is_urgent(self._assumptions):
             return
         commanded = before.effects.actuators if before.effects is not None else ()
@@ -241,8 +243,10 @@ class Monitors:
         self._judge(self._assumptions, self._step, self._assumption_time, after.time, after.round, 0)
         self._assumption_time.end()
 
-    def _contract(self, record: Record) -> None:
-        """Record a contract that an event broke, or that holds again after an event ran without fault."""
+    def _contract(self, record: RoundRecord) -> None:
+        """Update the verdicts on contracts of extern functions after a round.
+
+        A contract that an event broke is violated. It holds again when the same event runs without a fault."""
         fault = record.fault
         if fault is not None and fault.contract is not None:
             contract = fault.contract
@@ -261,16 +265,18 @@ class Monitors:
                     self._become(watched, "held", f"{record.event or 'every guard'} ran through again", record.time)
 
     def _judge(
-        self, due: list[MonitoredProperty], known: Known, allowance: CpuBudget, time: float, round_: int, old: int
+        self, due: list[MonitoredProperty], known: Known, budget: CpuBudget, time: float, round_: int, old: int
     ) -> None:
-        """Evaluate properties within the time budget. Sensor values are `old` rounds older than `round_`."""
+        """Evaluate properties within the time limit of a round, and within the CPU budget if they are only logged.
+
+        `old`: age of the sensor values in rounds, at the start of round `round_`."""
         found: list[tuple[MonitoredProperty, Outcome, str]] = []
         begun: MonitoredProperty | None = None
         try:
             with self._limit(BUDGET * self._delta):
                 for watched in sorted(due, key=_urgency):
                     patient = watched.action == "log" and round_ - watched.true < LONGEST_WAIT
-                    if patient and allowance.spent:
+                    if patient and budget.spent:
                         break
                     begun = watched
                     found.append((watched, *judged(watched.holds, known)))
@@ -280,11 +286,11 @@ class Monitors:
         for watched, outcome, why in found:
             watched.due, watched.true = False, round_ - (old if watched.senses else 0)
             if outcome == "violated" and watched.outcome != "violated":
-                why = self._told(watched, known)
+                why = self._evidence(watched, known)
             self._become(watched, outcome, why, time)
 
     def _overran(self, late: MonitoredProperty, time: float) -> None:
-        """Count an overrun, and switch the property off after too many."""
+        """Count an overrun of a property. Switch the property off after more than MOST_OVERRUNS overruns."""
         late.overruns += 1
         if late.overruns > MOST_OVERRUNS:
             self._invariants = [w for w in self._invariants if w is not late]
@@ -292,31 +298,31 @@ class Monitors:
             self._off.append(late)
             self._become(late, "no value", f"it takes more than {BUDGET * self._delta * 1e3:.3g} ms: it is off", time)
 
-    def _told(self, watched: MonitoredProperty, known: Known) -> str:
-        """Return the robots and the values that made a property false."""
+    def _evidence(self, watched: MonitoredProperty, known: Known) -> str:
+        """Return a text with the quantified names and the values that made a property false."""
         trail: Trail = []
         assert self._found is not None
         make = self._found.step if isinstance(watched.what, Assumption) else self._found.fleet
         again = make(len(self._names), trail)
-        again.take(known)
+        again.copy_from(known)
         judged(watched.holds, again)
-        return told(trail, self._names)[1]
+        return evidence(trail, self._names)[1]
 
     def _become(self, watched: MonitoredProperty, outcome: Outcome, why: str, time: float, stale: bool = False) -> None:
         change = watched.become(outcome, why, self._round, time, stale)
         if change is not None:
             self.verdict = self._demanded()
-            self._tell(change)
+            self._report(change)
 
-    def _demanded(self) -> Verdict:
+    def _demanded(self) -> SafetyVerdict:
         acting = [watched for watched in self.watched if watched.acting]
         for watched in acting:
             if watched.action in FOR_GOOD:
-                return Verdict("rest", f"{watched.word} is violated: {watched.why}")
-        return Verdict("hold", f"{acting[0].word} is violated") if acting else GO
+                return SafetyVerdict("stop", f"{watched.word} is violated: {watched.why}")
+        return SafetyVerdict("hold", f"{acting[0].word} is violated") if acting else GO
 
     def report(self) -> dict[str, Any]:
-        """Return counts of verdicts and the violated properties, for the status."""
+        """Return the number of properties with each verdict, and the violated properties, for the status report."""
         counts: dict[str, int] = {}
         for watched in self.watched:
             outcome = watched.outcome or "unknown"
@@ -325,7 +331,7 @@ class Monitors:
         return {"counts": counts, "violated": violated}
 
     def summary(self) -> tuple[bool, str]:
-        """Return whether any property was ever violated, and all verdicts as text; "" without properties."""
+        """Return whether a property was ever violated, and a text with all verdicts; "" without properties."""
         counts = ", ".join(f"{count} {outcome}" for outcome, count in self.report()["counts"].items())
         broken = [
             f"{w.word}, {w.violations} times" if w.violations > 1 else w.word for w in self.watched if w.violations
@@ -337,17 +343,17 @@ def _urgency(watched: MonitoredProperty) -> tuple[bool, int]:
     return watched.action == "log", watched.true
 
 
-# Explanation of a false property as text.
+# The functions below explain a false property as text.
 
-MOST_READ = 8  # values that are shown
-LONGEST = 120  # characters of a value
+MOST_READ = 8  # largest number of values in the text
+LONGEST = 120  # largest number of characters in the text of one value
 
 
-def told(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1) -> tuple[tuple[str, ...], str]:
-    """Return the robots concerned, and the values bound and read, when a formula was false.
+def evidence(trail: Trail, names: tuple[str, ...], why: str = "", pid: int = -1) -> tuple[tuple[str, ...], str]:
+    """Return the robots that a false formula is about, and a text with its quantified names and the values it read.
 
-    `pid` is the robot of an assumption, or -1."""
-    bound = [step for step in trail if isinstance(step, Bound)]
+    `why`: end of the text. `pid`: robot of an assumption, or -1."""
+    bound = [step for step in trail if isinstance(step, BoundName)]
     robots = [names[b.value] for b in bound if b.robot and _is_pid(b.value, names)]
     if pid >= 0:
         robots = [names[pid]]
@@ -362,7 +368,7 @@ def _is_pid(value: Any, names: tuple[str, ...]) -> bool:
     return isinstance(value, int) and 0 <= value < len(names)
 
 
-def _bound(bound: Bound, names: tuple[str, ...]) -> str:
+def _bound(bound: BoundName, names: tuple[str, ...]) -> str:
     name = f" ({names[bound.value]})" if bound.robot and _is_pid(bound.value, names) else ""
     return f"{bound.name} = {shown(bound.value)}{name}"
 
@@ -373,7 +379,7 @@ def _read(read: Read) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value in Koord syntax, to six digits."""
+    """Return a value as text in Koord's syntax; floats are rounded to six digits."""
     text = _shown(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
 
@@ -397,17 +403,17 @@ def _shown(value: Any) -> str:
             return str(value)
 
 
-# CPU budget of work with low priority: a share of the CPU time of all other work.
+# CPU budget of work with low priority: a share of the CPU time that all other work uses.
 
-MOST = 0.001  # seconds that can be saved up
+MOST = 0.001  # largest budget in seconds of CPU time; unused budget is saved only up to this value
 Cpu = Callable[[], float]  # seconds of CPU time used by this thread
 
 
 class CpuBudget:
-    """CPU budget. Call `begin` and `end` around the work.
+    """CPU budget of work with low priority. The caller calls `begin` before the work and `end` after it.
 
-    Without a `cpu` the budget is unlimited, as in a simulation, where a robot's behaviour must not depend on the
-    computer."""
+    Without a clock `cpu` the budget is unlimited. Simulations use this, because the behaviour of a simulated robot must
+    not depend on the computer."""
 
     def __init__(self, cpu: Cpu | None, share: float) -> None:
         self._cpu, self._share = cpu, share
@@ -415,7 +421,7 @@ class CpuBudget:
         self._began = self._ended = 0.0 if cpu is None else cpu()
 
     def begin(self) -> bool:
-        """Return whether budget is left. `end` is not needed if no work is done."""
+        """Return whether CPU budget is left. If the caller does no work, it need not call `end`."""
         if self._cpu is None:
             return True
         self._began = self._cpu()
@@ -425,7 +431,7 @@ class CpuBudget:
 
     @property
     def spent(self) -> bool:
-        """True if the budget is used up."""
+        """True if the work has used up the CPU budget."""
         return self._cpu is not None and self._cpu() - self._began >= self._left
 
     def end(self) -> None:

@@ -1,7 +1,7 @@
-"""Loader of C code.
+"""Loader of C code, and compilation of the runtime's own modules.
 
-Owns: compilation on the robot, the cache of libraries, the check of a library before it is used; which modules of the
-    runtime can run compiled.
+Owns: compilation on the robot, the cache of libraries, the check of a library before its use, and the list of runtime
+    modules that can be compiled.
 Offers: `loader.load`, `protocol.use`, `protocol.compile_modules`.
-Must not import: any other package. C sources stand beside the module that binds them.
+Must not import: any other package. Each C source is in the folder of the module that binds it.
 """

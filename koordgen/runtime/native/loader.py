@@ -1,8 +1,8 @@
-"""Loader of libraries that are compiled on the robot: once, cached, then called by ctypes or imported.
+"""Loader of libraries that are compiled once on the robot, cached, and called by ctypes or imported.
 
-A library is loaded only from a folder and a file that this user owns and nobody else may write, and only if its content
-has the digest in its name: a truncated or changed file is compiled again. Agents that start at the same time on one
-host wait for the first one, which compiles for all."""
+A library is loaded only if this user owns its file and its folder, and no other user may write them. The digest of its
+content must equal the digest in its file name; a truncated or changed library is compiled again. If several agents
+start at the same time on one computer, the first one compiles and the others wait for it."""
 
 from __future__ import annotations
 
@@ -24,59 +24,62 @@ from pathlib import Path
 from typing import Any
 
 COMPILERS = ("cc", "gcc", "clang")
-DIGITS = 32  # of a digest in a file's name
-PATIENCE = 60.0  # seconds for a compiler, and for waiting for another process
-LOOKS = 0.01  # seconds between two checks whether that process is done
+DIGITS = 32  # number of hexadecimal digits of a digest in a file name
+TIMEOUT = 60.0  # seconds that a compilation may last, in this process or in another process that this process waits for
+POLL_EVERY = 0.01  # seconds between two checks whether another process has finished its compilation
 
 
 class NotCompiled(Exception):
-    """A library is not available. The message names the library and the reason."""
+    """Raised if a library is not available. The message names the library and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
-class Library:
-    """Recipe of a library.
+class CompiledLibrary:
+    """Description of how to compile and check a library.
 
-    `identity` is everything that it is made from: another identity, or another machine, is another library. `write`
-    writes the source into a folder and returns its path and the compiler's flags; it may raise NotCompiled. `prove`
-    checks the loaded library with a known answer; it raises NotCompiled, or AttributeError for a missing function, and
-    the library is not used. `patience`: seconds that compiling may take."""
+    identity: everything that the library is made from. Another identity or another type of machine needs another
+        library.
+    write: function that writes the source into a folder, and returns the path of the source and the flags of the
+        compiler. It may raise NotCompiled.
+    prove: function that checks the loaded library. It raises NotCompiled, or AttributeError for a missing function, if
+        the library must not be used.
+    timeout: seconds that the compilation may last."""
 
     name: str
     identity: bytes
     write: Callable[[Path], tuple[Path, Sequence[str]]]
     prove: Callable[[ctypes.CDLL], None]
-    patience: float
+    timeout: float
 
     def find(self, cache: Path | None = None) -> ctypes.CDLL | None:
-        """Return the library in the cache (by default `cache_folder()`), or None. Never compiles."""
+        """Return the library from the cache folder (default: `cache_folder()`), or None. Never compiles."""
         cache = cache if cache is not None else cache_folder()
         return None if cache is None or not _private(cache) else self._kept(cache)
 
     def load(self, cache: Path | None = None) -> ctypes.CDLL:
-        """Return the library from the cache, compiled if needed; without a cache it is compiled at each start.
+        """Return the library from the cache, and compile it if needed. Without a cache, compile at each start.
 
-        Raises NotCompiled. Blocks: call it before a control loop begins."""
+        Raises NotCompiled. This method blocks, so call it before a control loop begins."""
         cache = cache if cache is not None else cache_folder()
         if cache is None or not _private(cache):
             return self._make([None])
-        until = time.monotonic() + self.patience
-        with _lock(cache) as take:
+        until = time.monotonic() + self.timeout
+        with _lock(cache) as acquire:
             while True:
-                # Lock before looking: the process that held the lock may have left the library.
-                ours = take() or time.monotonic() >= until
+                # Lock before the cache is read: the process that held the lock may have compiled the library.
+                ours = acquire() or time.monotonic() >= until
                 if (library := self._kept(cache)) is not None:
                     return library
                 if ours:
                     return self._make([cache, None])
-                time.sleep(LOOKS)
+                time.sleep(POLL_EVERY)
 
     def fails(self, why: str) -> NotCompiled:
         return NotCompiled(f"the C code of {self.name} cannot be compiled: {why}")
 
     @property
     def _stem(self) -> str:
-        """Beginning of its file names."""
+        """Beginning of the names of this library's files in the cache."""
         digest = sha256(self.identity + b"\0" + platform.machine().encode()).hexdigest()
         return f"{self.name}-{digest[:16]}"
 
@@ -91,21 +94,21 @@ class Library:
         return None
 
     def _make(self, places: Sequence[Path | None]) -> ctypes.CDLL:
-        """Compile in the first folder that can be written; None is the system's temporary folder."""
+        """Compile in the first folder of `places` that can be written. None: the system's temporary folder."""
         why = ""
         for place in places:
             try:
                 return self._make_in(place)
-            except OSError as error:  # read-only, full
-                why = _told(error, place)
+            except OSError as error:  # the folder is read-only or the disk is full
+                why = _description(error, place)
         raise self.fails(why)
 
     def _make_in(self, place: Path | None) -> ctypes.CDLL:
-        """Compile in a new folder in `place`, and cache the library there."""
+        """Compile in a new folder within the folder `place`, and store the library in `place`."""
         folder = Path(tempfile.mkdtemp(prefix="compiling-", dir=place))
         try:
             path = self._compile(folder)
-            library = self._proven(path)  # it stays in memory when its file is deleted
+            library = self._proven(path)  # the library stays in memory when its file is deleted
             if place is not None:
                 digest = sha256(path.read_bytes()).hexdigest()[:DIGITS]
                 with suppress(OSError):
@@ -121,17 +124,17 @@ class Library:
             raise self.fails(f"there is no C compiler ({', '.join(COMPILERS)})")
         source, flags = self.write(folder)
         library = folder / f"{self.name}.so"
-        # linkers expect libraries after the objects that use them
+        # Flags (`-l`) come last, because linkers expect libraries after the objects that use them.
         command = [compiler, "-o", str(library), str(source), *flags]
         try:
             done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=self.patience, cwd=folder, check=False
+                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=self.timeout, cwd=folder, check=False
             )
         except subprocess.TimeoutExpired:
-            raise self.fails(f"{compiler} was not done after {self.patience:.0f} s") from None
+            raise self.fails(f"{compiler} did not finish within {self.timeout:.0f} s") from None
         if done.returncode or not library.is_file():
-            told = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
-            raise self.fails(f"{compiler} failed with status {done.returncode}: {told[0][:200]}")
+            lines = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
+            raise self.fails(f"{compiler} failed with status {done.returncode}: {lines[0][:200]}")
         return library
 
     def _proven(self, path: Path) -> ctypes.CDLL:
@@ -146,11 +149,14 @@ class Library:
 def load(
     source: Path, flags: Sequence[str], prove: Callable[[ctypes.CDLL], None], cache: Path | None = None
 ) -> ctypes.CDLL:
-    """Return the library of one C file; see Library. `flags` are the compiler's, `-l` among them."""
+    """Compile and load the library of one C file; see Library.load.
+
+    flags: flags of the compiler, including `-l` flags for the linker.
+    """
     try:
         text = source.read_bytes()
     except OSError as error:
-        raise NotCompiled(f"the C code of {source.stem} cannot be read: {_told(error, source)}") from None
+        raise NotCompiled(f"the C code of {source.stem} cannot be read: {_description(error, source)}") from None
 
     def write(folder: Path) -> tuple[Path, Sequence[str]]:
         copy = folder / source.name
@@ -158,66 +164,69 @@ def load(
         return copy, flags
 
     identity = b"\0".join([text, *(flag.encode() for flag in flags)])
-    return Library(source.stem, identity, write, prove, PATIENCE).load(cache)
+    return CompiledLibrary(source.stem, identity, write, prove, TIMEOUT).load(cache)
 
 
 class Compiled:
-    """Library of one C file, loaded at its first use in a process. Not in a control loop (see `load`)."""
+    """Library of one C file, loaded at its first use in a process.
+
+    The first use must not be in a control loop, because it may compile the library.
+    """
 
     def __init__(self, source: Path, flags: Sequence[str], prove: Callable[[ctypes.CDLL], None]) -> None:
         self._given = source, flags, prove
 
     @cached_property
     def found(self) -> ctypes.CDLL | str:
-        """The library, or the reason why it is missing."""
+        """The loaded library, or the reason why the library is missing."""
         try:
             return load(*self._given)
         except NotCompiled as error:
             return str(error)
 
     def library(self) -> ctypes.CDLL | None:
-        """Return the library, or None."""
+        """Return the loaded library, or None if it is missing."""
         return None if isinstance(self.found, str) else self.found
 
     def why(self) -> str:
-        """Return why the library is missing; "" if it is not."""
+        """Return the reason why the library is missing, or "" if it is loaded."""
         return self.found if isinstance(self.found, str) else ""
 
 
 def declare(found: ctypes.CDLL, prefix: str, functions: Mapping[str, tuple[Any, tuple[Any, ...]]]) -> None:
-    """Declare result and argument types of functions by prefix and name.
+    """Declare result and argument types of a library's functions to ctypes.
 
-    Raises AttributeError for a missing one."""
+    functions: name without `prefix` -> (type of the result, types of the arguments).
+    Raises AttributeError for a missing function."""
     for name, (result, arguments) in functions.items():
         function = getattr(found, prefix + name)
         function.restype, function.argtypes = result, arguments
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of cached libraries.
+    """Return the folder of cached libraries: `koordgen` in the user's cache folder.
 
-    `koordgen` in the user's cache folder, or None if there is none.
-
-    Not beside the bundle: in the simulator that folder belongs to a bundle, which must contain only its own files."""
+    Return None if the user has no home folder. Libraries are not stored in a bundle, because a bundle must contain only
+    its own files."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     try:
         return Path(given if os.path.isabs(given) else Path.home() / ".cache") / "koordgen"
-    except RuntimeError:  # no home
+    except RuntimeError:  # the user has no home folder
         return None
 
 
 def can_keep() -> bool:
-    """Return whether this user can cache libraries."""
+    """Return whether this user can write libraries to the cache folder."""
     cache = cache_folder()
     return cache is not None and _private(cache) and os.access(cache, os.W_OK)
 
 
 @contextmanager
 def _lock(folder: Path) -> Iterator[Callable[[], bool]]:
-    """Yield a function that tries to lock the folder for compilation, until the block ends.
+    """Yield a function that tries to lock the folder for compilation.
 
-    The right of a killed process is released. On a file system without locks every process gets it, which only costs
-    time."""
+    The lock is released when the block ends. The system releases the lock of a killed process. On a file system without
+    locks, every process gets the lock; then each process compiles, which only costs time."""
     try:
         handle = os.open(folder, os.O_RDONLY)
     except OSError:
@@ -239,13 +248,13 @@ def _taken(handle: int) -> bool:
     return True
 
 
-def _told(error: OSError, place: Path | None) -> str:
+def _description(error: OSError, place: Path | None) -> str:
     return f"{error.filename or place}: {error.strerror or error}"
 
 
 def _private(folder: Path) -> bool:
-    """Return whether the folder exists or was created, and only this user may write it."""
-    with suppress(OSError):  # there already, or cannot be made
+    """Create the folder if needed. Return whether it exists and only this user may write it."""
+    with suppress(OSError):  # the folder exists already, or cannot be created
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700)
     try:
@@ -255,15 +264,15 @@ def _private(folder: Path) -> bool:
 
 
 def _ours(path: Path) -> bool:
-    """Return whether a file belongs to this user and nobody else may write it.
+    """Return whether a file or folder belongs to this user, and no other user may write it.
 
-    False for a link: all may write it."""
+    Return False for a symbolic link, because every user may write it."""
     found = path.lstat()
     return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _sound(path: Path) -> bool:
-    """Return whether a library belongs to this user and is undamaged.
+    """Return whether a library file belongs to this user and is undamaged.
 
-    Loading a truncated one ends the process."""
+    A truncated library must not be loaded, because loading it would end the process."""
     return _ours(path) and path.stem.endswith("-" + sha256(path.read_bytes()).hexdigest()[:DIGITS])

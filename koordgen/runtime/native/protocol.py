@@ -1,10 +1,9 @@
 """Compiled modules of the shared memory: the same Python code, translated to C by mypyc.
 
-There is one implementation: the Python modules in MODULES. A robot whose rounds take too much CPU time can compile them
-(`python3 <bundle> --compile`, once). Each later start looks for the library in the cache, made from exactly these
-sources for exactly this Python, and imports from it. Otherwise Python interprets the modules, with the same results,
-but slower. msgspec's classes (in `net.wire` and `replication.messages`) stay interpreted: mypyc cannot translate
-them."""
+The Python modules in MODULES are the only implementation. A robot whose rounds take too much CPU time can compile them
+once by `python3 <bundle> --compile`. Each later start imports the modules from the library in the cache, if it was made
+from the same sources for the same Python. Otherwise Python interprets the modules: slower, but with the same results.
+The msgspec classes in `net.wire` and `replication.messages` stay interpreted, because mypyc cannot translate them."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ from importlib.util import find_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
-from koordgen.runtime.native.loader import Library, NotCompiled, can_keep
+from koordgen.runtime.native.loader import CompiledLibrary, NotCompiled, can_keep
 
 ROOT = Path(__file__).resolve().parents[3]  # the folder that contains the package koordgen
 MODULES = (
@@ -37,11 +36,11 @@ MODULES = (
     *(f"koordgen.runtime.agent.{name}" for name in ("persistence", "rounds", "checkpoint")),
     "koordgen.runtime.values.clock",
 )  # fmt: skip
-GROUP = "koordgen_protocol"  # mypyc's name of the library; GROUP__mypyc is the module that all others need
-PATIENCE = 900.0  # seconds: a small computer takes minutes
+GROUP = "koordgen_protocol"  # name of the library for mypyc; every compiled module imports the module GROUP__mypyc
+TIMEOUT = 900.0  # seconds for a compilation, which takes minutes on a small computer
 FLAGS = ("-O1", "-shared", "-fPIC", "-fwrapv", "-w", "-DNDEBUG", "-fvisibility=hidden", "-fno-semantic-interposition")
-INSTALL_MYPYC = "install it for this Python: `pip install 'mypy[mypyc]'`"
-# The first entry of the child's path is the bundle, which may contain any file names: mypy must not import from it.
+INSTALL_MYPYC = "install mypyc for this Python: `pip install 'mypy[mypyc]'`"
+# The first entry of the child process's import path is the bundle. It may contain files of any name, so it is removed.
 _TRANSLATE = f"""
 import sys
 sys.path.pop(0)
@@ -61,12 +60,12 @@ for name in sys.argv[2:]:
 
 
 def use(modules: Sequence[str] = MODULES) -> bool:
-    """Make Python import the compiled modules, if they are cached. Return whether they are.
+    """Make Python import the compiled modules if they are in the cache. Return whether they are.
 
-    Call it before any of the modules is imported."""
+    Call this function before any of the modules is imported."""
     try:
         found = _library(modules).find()
-    except OSError:  # a source that cannot be read: importing it raises an error that names it
+    except OSError:  # a source cannot be read; the later import raises an error with its name
         return False
     if found is None:
         return False
@@ -80,16 +79,16 @@ def is_used() -> bool:
 
 
 def compile_modules(modules: Sequence[str] = MODULES) -> Path:
-    """Compile the modules unless they are cached. Return the library's path.
+    """Compile the modules unless they are in the cache. Return the path of the library.
 
-    Takes a minute, several on a small computer, and half a gigabyte of memory. Raises NotCompiled."""
+    This takes a minute, or several on a small computer, and half a gigabyte of memory. Raises NotCompiled."""
     library = _library(modules)
     if not can_keep():
-        raise library.fails("no cache folder: let this user write to its cache folder, ~/.cache")
+        raise library.fails("there is no cache folder; allow this user to write to ~/.cache")
     library.load()
     found = library.find()
     if found is None:
-        raise library.fails("the cache is full: free space in this user's cache folder, ~/.cache")
+        raise library.fails("the library cannot be written to the cache; free space in ~/.cache")
     path = Path(found._name)
     command = [sys.executable, "-c", _IMPORT, str(ROOT), *modules]
     tried = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
@@ -100,7 +99,7 @@ def compile_modules(modules: Sequence[str] = MODULES) -> Path:
 
 
 class _Finder:
-    """Finder of compiled modules for `sys.meta_path`; all of them are in one library."""
+    """Finder of compiled modules for `sys.meta_path`. All compiled modules are in one library."""
 
     def __init__(self, library: str, modules: Sequence[str]) -> None:
         self._library, self._modules = library, frozenset(modules)
@@ -116,14 +115,16 @@ class _Finder:
         return spec_from_file_location(name, self._library, loader=ExtensionFileLoader(name, self._library))
 
 
-def _library(modules: Sequence[str]) -> Library:
-    return Library("protocol", _identity(modules), partial(_translate, modules), partial(_prove, modules), PATIENCE)
+def _library(modules: Sequence[str]) -> CompiledLibrary:
+    return CompiledLibrary(
+        "protocol", _identity(modules), partial(_translate, modules), partial(_prove, modules), TIMEOUT
+    )
 
 
 def _identity(modules: Sequence[str]) -> bytes:
     """Return a digest of everything that the library depends on.
 
-    This is the whole runtime, not only the modules: mypyc writes constants and types of other modules into the code."""
+    The library depends on all modules of the runtime, because mypyc copies constants and types of other modules."""
     paths = sorted({*ROOT.joinpath("koordgen/runtime").rglob("*.py"), *(ROOT / _path(name) for name in modules)})
     digest = sha256(" ".join([sysconfig.get_config_var("SOABI") or sys.version, *modules, *FLAGS]).encode())
     for path in paths:
@@ -136,21 +137,21 @@ def _path(name: str) -> str:
 
 
 def _translate(modules: Sequence[str], folder: Path) -> tuple[Path, Sequence[str]]:
-    """Write the modules as C into a folder. Return the file to compile and the compiler's flags."""
+    """Translate the modules to C in `folder`. Return the file to compile and the flags of the compiler."""
     fails = _library(modules).fails
     mypyc = find_spec("mypyc")
     if mypyc is None or mypyc.origin is None:
-        raise fails(f"mypyc is missing; {INSTALL_MYPYC}")
+        raise fails(f"the Python package mypyc is missing; {INSTALL_MYPYC}")
     headers = Path(sysconfig.get_path("include"))
     if not (headers / "Python.h").is_file():
         raise fails(f"{headers}/Python.h is missing; install it: `apt install python3-dev`")
     command = [sys.executable, "-c", _TRANSLATE, str(folder), *_OPTIONS, *map(_path, modules)]
     try:
         done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT, check=False
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=TIMEOUT, cwd=ROOT, check=False
         )
     except subprocess.TimeoutExpired:
-        raise fails(f"mypyc did not finish within {PATIENCE:.0f} s") from None
+        raise fails(f"mypyc did not finish within {TIMEOUT:.0f} s") from None
     if done.returncode:
         raise fails(f"mypyc failed with status {done.returncode}: {_last_line(done.stdout + done.stderr)}")
     source = folder / "all.c"
@@ -162,7 +163,7 @@ def _translate(modules: Sequence[str], folder: Path) -> tuple[Path, Sequence[str
 
 
 def _prove(modules: Sequence[str], found: ctypes.CDLL) -> None:
-    """Check that the library has the modules. Raises AttributeError for a missing one."""
+    """Check that the library contains the modules. Raises AttributeError for a missing module."""
     for name in modules:
         getattr(found, f"PyInit_{_short(name)}")
 
@@ -171,5 +172,5 @@ def _short(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _last_line(told: str) -> str:
-    return (told.strip().splitlines() or ["no message"])[-1][:300]
+def _last_line(output: str) -> str:
+    return (output.strip().splitlines() or ["no message"])[-1][:300]

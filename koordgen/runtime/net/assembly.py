@@ -20,7 +20,7 @@ class _Begun:
 
 
 class Assembly:
-    """Partly received entries, by author."""
+    """Entries of which some fragments have arrived: at most one entry per author."""
 
     def __init__(self) -> None:
         self._begun: dict[int, _Begun] = {}
@@ -29,16 +29,16 @@ class Assembly:
         self._begun.clear()
 
     def received(self) -> tuple[HeldFragments, ...]:
-        """Return which fragments have been received, for a Nack, so that only the others are sent again."""
+        """Return the received fragments of each entry. A Nack reports them, so that they are not sent again."""
         begun = [
             HeldFragments(author, b.round, b.fragments.name, b.fragments.mask) for author, b in self._begun.items()
         ]
         return tuple(begun[:MOST_HELD])
 
-    def take(self, fragment: Fragment, wanted: Callable[[int, int], bool]) -> Entry | str | None:
-        """Add a fragment. Return the entry once it is complete, or why the fragment is refused.
+    def add(self, fragment: Fragment, wanted: Callable[[int, int], bool]) -> Entry | str | None:
+        """Add a fragment. Return the entry once it is complete, the reason for a refusal, or else None.
 
-        `wanted` returns whether the entry of an author and round is needed."""
+        wanted: function that returns whether the entry of a given author and round is needed."""
         author = fragment.author
         if not wanted(author, fragment.round):
             return None
@@ -47,8 +47,8 @@ class Assembly:
             known = _Begun(fragment.incarnation, fragment.round, Reassembly(fragment.digest, fragment.count))
             self._begun[author] = known
         if (known.incarnation, known.round) != (fragment.incarnation, fragment.round):
-            return None  # one entry at a time; the other will be requested again
-        refused = known.fragments.take((fragment.digest, fragment.index, fragment.count, fragment.data))
+            return None  # only one entry at a time; another entry is requested again later
+        refused = known.fragments.add((fragment.digest, fragment.index, fragment.count, fragment.data))
         if refused is not None:
             return refused
         blob = known.fragments.blob()

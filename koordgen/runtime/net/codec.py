@@ -1,7 +1,8 @@
 """Codec of the wire format: messages to sealed datagrams and back.
 
-A datagram is one byte `WIRE_FORMAT`, a tagged MessagePack array (one of Message), and the MAC of `seal`; at most LIMIT
-bytes. It is separate from `wire` because it can be compiled, and msgspec's structs cannot."""
+A datagram consists of one byte `WIRE_FORMAT`, a tagged MessagePack array (one of Message), and the MAC of `seal`. It
+has at most LIMIT bytes. The codec is separate from `wire`, because mypyc can compile the codec but not msgspec's
+structs."""
 
 from __future__ import annotations
 
@@ -43,20 +44,21 @@ def pack(message: Message) -> bytes:
 
 
 def encode(message: Message, key: bytes | None) -> bytes:
-    """Return a sealed datagram. Its length is not checked."""
+    """Return a message as a sealed datagram. The length of the datagram is not checked."""
     return seal(key, MEMORY, pack(message))
 
 
 def decode(datagram: bytes, key: bytes | None) -> Message | str:
-    """Return the message of a datagram, or why it is refused. Nothing is read before its MAC was verified.
+    """Return the message of a datagram, or the reason why the datagram is refused. Never raises.
 
-    Never raises. The values of an entry refer to the payload in which they arrived, which therefore stays in memory."""
+    The MAC is verified before any other byte is read. Values of entries refer to the datagram's payload, which
+    therefore stays in memory."""
     return decoder(key)(datagram)
 
 
 @lru_cache(maxsize=4)
 def decoder(key: bytes | None) -> Callable[[bytes], Message | str]:
-    """Return `decode` for one key."""
+    """Return the function `decode` with `key` bound to it."""
     unseal, decode_payload = unsealer(key, MEMORY), _decoder.decode
 
     def decode_(datagram: bytes) -> Message | str:
@@ -76,7 +78,7 @@ def decoder(key: bytes | None) -> Callable[[bytes], Message | str]:
 
 
 def entry_of(blob: bytes) -> Entry | None:
-    """Return the entry that arrived in fragments, or None if the bytes are no entry."""
+    """Decode an entry that arrived in fragments. Return None if the bytes are no valid entry."""
     try:
         return _entries.decode(blob)
     except (ValueError, RecursionError):
@@ -84,25 +86,25 @@ def entry_of(blob: bytes) -> Entry | None:
 
 
 def snapshot_of(blob: bytes) -> Snapshot | None:
-    """Return the snapshot that arrived in fragments, or None if the bytes are no snapshot."""
+    """Decode a snapshot that arrived in fragments. Return None if the bytes are no valid snapshot."""
     try:
         return _states.decode(blob)
     except (ValueError, RecursionError):
         return None
 
 
-def epoch_of(boots: list[bytes]) -> bytes:
+def epoch_of(boot_ids: list[bytes]) -> bytes:
     """Return the epoch, the id of a mission: a digest of all robots' boot ids in the order of their pids.
 
     Robots that know the same boot ids therefore agree on the epoch without a coordinator.
     """
-    return blake2s(b"".join(boots), digest_size=8, person=b"k-epoch").digest()
+    return blake2s(b"".join(boot_ids), digest_size=8, person=b"k-epoch").digest()
 
 
 def overhead(n_sys: int) -> int:
-    """Return the greatest number of bytes in a sealed datagram besides its entries or a fragment's data.
+    """Return the most bytes that a sealed datagram needs besides entries or the data of a fragment.
 
-    `n_sys`: robots of the fleet.
+    `n_sys`: number of robots in the fleet.
     """
     token = bytes(8)
     echoes = tuple(Echo(MAX_ROBOTS - 1, TOP, TOP) for _ in range(min(MAX_ECHOES, n_sys)))

@@ -1,10 +1,10 @@
 """Fleet clock: the time of the reference robot, which has the lowest pid of the present view.
 
 Local clocks are monotonic seconds of unknown origin, at most CRYSTAL off the true rate. An exchange with a peer (a
-datagram to it, and its echo back) has four time stamps. As no datagram arrives before it was sent, they bound the
-offset between the two local clocks from both sides, however unequal the two delays are. The middle of the bounds is off
-by at most half of the shortest round trip. The peer reports the offset of fleet time to its local time, which is
-constant for the reference."""
+datagram to the peer, and its echo back) has four time stamps. No datagram arrives before it was sent, so the stamps
+bound the offset between the two local clocks from both sides, even if the delays differ. The middle of the bounds is
+off by at most half of the shortest round trip. The peer also reports fleet time minus its local time; this difference
+is constant for the reference."""
 
 from __future__ import annotations
 
@@ -13,24 +13,26 @@ from functools import reduce
 from math import copysign, inf
 from typing import NamedTuple
 
-CRYSTAL = 100e-6
-DRIFT = 2 * CRYSTAL  # largest relative difference of two clocks' rates
-MOST_DRIFT = 500e-6  # bound of every estimate of that difference
-WANDER = 10e-6  # bound of the difference between the present rate and the mean rate of the last SLOTS * SLOT seconds
-SLOT = 16.0  # seconds of a slot; the best bounds of each slot are kept
-SLOTS = 32  # number of slots kept
-APART = 5.0  # seconds between two bounds that yield an estimate of the rate
-ROUNDING = 2e-6  # stamps are whole microseconds
-# Largest correction of a locked clock, as a share of the elapsed time. It keeps the clock monotonic and rounds even.
+CRYSTAL = 100e-6  # largest relative error of a local clock's rate
+DRIFT = 2 * CRYSTAL  # largest relative difference between the rates of two clocks
+MOST_DRIFT = 500e-6  # limit for estimates of the relative difference between the rates of two clocks
+WANDER = 10e-6  # largest difference between the present rate and the mean rate of the last SLOTS * SLOT seconds
+SLOT = 16.0  # seconds of a slot; the tightest bounds of each slot are kept
+SLOTS = 32  # number of slots that are kept
+APART = 5.0  # seconds that two bounds must be apart to yield an estimate of the rate
+ROUNDING = 2e-6  # seconds; largest rounding error, because time stamps are whole microseconds
+
+# Largest correction of a locked clock, as a share of the elapsed time. It keeps fleet time monotonic and rounds even.
 SLEW = 0.05
-FRESH = 0.02  # seconds for which an estimate is reused: two clocks drift apart by at most four microseconds
-STEP = 0.1  # seconds; a larger deviation of an estimate is not an estimation error
+FRESH = 0.02  # seconds for which an estimate is reused; in this time two clocks drift apart by at most 4 microseconds
+STEP = 0.1  # seconds; a larger deviation from the estimate is no estimation error, so a clock was reset
 
 
 class _Edges(NamedTuple):
-    """Bounds of the peer's clock relative to this one, from one exchange or the best of several.
+    """Bounds of a peer's clock relative to the local clock, in seconds, from one or several exchanges.
 
-    The peer is ahead by at least `low` (valid at local time `low_at`), and by at most `high` (valid at `high_at`)."""
+    At local time `low_at`, the peer's clock is ahead by at least `low`. At local time `high_at`, it is ahead by at most
+    `high`."""
 
     low_at: float
     low: float
@@ -38,7 +40,10 @@ class _Edges(NamedTuple):
     high: float
 
     def merged(self, other: _Edges, rates: tuple[float, float]) -> _Edges:
-        """Return the tighter bound on each side; which one is tighter does not depend on the time."""
+        """Return the tighter lower bound and the tighter upper bound of `self` and `other`.
+
+        rates: bounds of the peer's rate minus the local rate. They extend a bound to another time.
+        """
         low_at, low, high_at, high = self
         if other.low >= low + rates[0] * (other.low_at - low_at):
             low_at, low = other.low_at, other.low
@@ -52,28 +57,29 @@ class _Edges(NamedTuple):
 
 
 class _PeerClock:
-    """Estimate of one peer's clock: the best bounds of every SLOT seconds, and the rates that they allow.
+    """Estimate of a peer's clock: the tightest bounds in each slot, and the rates that they allow.
 
-    `fleet` is the peer's fleet time minus its local time, as last reported, no earlier than at local time `said`."""
+    fleet: fleet time minus the peer's local time, as the peer has reported last.
+    reported_at: local time at or after which the peer sent that report."""
 
     def __init__(self) -> None:
         self.fleet: float | None = None
-        self.said = -inf
+        self.reported_at = -inf
         self.rates = (-DRIFT, DRIFT)  # bounds of the peer's rate minus this clock's rate
         self._slots: deque[_Edges] = deque(maxlen=SLOTS)
-        self._number = 0.0  # number of the last slot
+        self._number = 0.0  # number of the latest slot
         self._best: _Edges | None = None
         self._odd: _PeerClock | None = None
 
     def limits(self, now: float) -> tuple[float, float]:
-        """Return bounds of the time by which the peer's clock is ahead of this one."""
+        """Return the least and the greatest lead (s) of the peer's clock over the local clock."""
         return (-inf, inf) if self._best is None else self._best.on(now, self.rates)
 
-    def take(self, edges: _Edges, fleet: float | None) -> _PeerClock:
-        """Add an exchange. Return the estimate to use from now on.
+    def add(self, edges: _Edges, fleet: float | None) -> _PeerClock:
+        """Add an exchange. Return the estimate to use from now on: this one, or a new one.
 
-        A new estimate begins when two successive exchanges agree with each other but not with the old one: one of the
-        machines was suspended, or the peer's was restarted."""
+        A new estimate begins when two successive exchanges agree with each other but contradict this estimate. Then one
+        of the two computers was suspended, or the peer's computer was restarted."""
         if self._add(edges, fleet):
             self._odd = None
             return self
@@ -84,14 +90,14 @@ class _PeerClock:
         return self._odd
 
     def _add(self, edges: _Edges, fleet: float | None) -> bool:
-        """Add an exchange. Return False, without a change, if it contradicts the estimate."""
+        """Add an exchange. If it contradicts the estimate, change nothing and return False."""
         now = edges.low_at
         best = edges if self._best is None else self._best.merged(edges, self.rates)
         low, high = best.on(now, self.rates)
         if low > high or (fleet is not None and self.fleet is not None and abs(fleet - self.fleet) > STEP):
             return False
-        if fleet is not None and edges.high_at >= self.said:
-            self.fleet, self.said = fleet, edges.high_at
+        if fleet is not None and edges.high_at >= self.reported_at:
+            self.fleet, self.reported_at = fleet, edges.high_at
         self._best = best
         number = now // SLOT
         if self._slots and number == self._number:
@@ -103,7 +109,7 @@ class _PeerClock:
         return True
 
     def _learn(self, now: float) -> None:
-        """Estimate the rates from bounds of older and newer slots, and the best bounds under these rates."""
+        """Estimate the rates from older and newer slots. Then compute the tightest bounds with these rates."""
         half = len(self._slots) // 2
         slots = list(self._slots)
         slowest, fastest = -inf, inf
@@ -121,7 +127,7 @@ class _PeerClock:
         low, high = self._best.on(now, self.rates)
         if (
             slowest > fastest or low > high
-        ):  # the rate has changed by more than WANDER: only the newest bounds are valid
+        ):  # the rate has changed by more than WANDER, so only the newest bounds are valid
             self.rates = (-DRIFT, DRIFT)
             self._slots = deque(slots[-1:], maxlen=SLOTS)
             self._best = slots[-1]
@@ -130,48 +136,47 @@ class _PeerClock:
 class FleetClock:
     """Fleet time on robot `pid`.
 
-    Before `lock` it steps to the best estimate. Afterwards it slews and never goes back; only a lag above STEP is
-    corrected at once.
+    Before `lock` is called, fleet time steps to the best estimate. After `lock`, it approaches the estimate by small
+    corrections and never goes back. Only a lag above STEP is corrected at once.
 
-    Robot 0 is the first reference, and fleet time its local time. A robot that becomes the reference continues its own
-    estimate at the rate of its own clock. The others follow it, and `bound` refers to its fleet time."""
+    Robot 0 is the first reference, and its local time is the fleet time. A robot that becomes the reference continues
+    its own estimate at the rate of its own clock. The other robots follow that robot's fleet time."""
 
     def __init__(self, pid: int) -> None:
         self.reference = 0
-        self.breaks = 0  # number of times that the reference's clock, or this one, changed its origin
+        self.breaks = 0  # number of times that the reference's or the local clock was reset
         self._pid = pid
         self._exchanges: dict[int, _PeerClock] = {}
         self._known = pid == self.reference
         self._followed = -inf
         self._offset = 0.0
         self._locked = False
-        self._estimated = -inf  # time when the estimate was last computed and reached
+        self._estimated = -inf  # local time at which fleet time last reached a new estimate
         self._last = -inf
 
     @property
     def known(self) -> bool:
-        """True if there is an estimate."""
+        """True if fleet time is known: this robot has an estimate or is the reference."""
         return self._known
 
     @property
     def drift(self) -> float:
-        """The reference's rate minus this clock's rate, as a share of it."""
+        """Relative difference between clock rates: the reference's rate minus the local rate."""
         peer = self._exchanges.get(self.reference)
         return 0.0 if peer is None or self.reference == self._pid else sum(peer.rates) / 2
 
     def bound(self, now: float) -> float:
-        """Return a bound of the error of fleet time at local time `now` (s).
+        """Return the largest possible error (s) of fleet time at local time `now`.
 
-        Inf without data of the reference.
-
-        It does not foresee a suspended machine; two exchanges later it is right again."""
+        Without data of the reference, the result is inf. After a computer was suspended, the result is wrong until two
+        further exchanges have arrived."""
         if self.reference == self._pid:
             return 0.0
         estimate = self._estimate(now)
         return inf if estimate is None else estimate[1] + abs(estimate[0] - self._offset)
 
     def offset(self, now: float) -> float | None:
-        """Return fleet time minus local time (s), for messages to others; None if unknown."""
+        """Return fleet time minus local time (s), which messages report to other robots; None if unknown."""
         if not 0.0 <= now - self._estimated < FRESH or now < self._last:
             self.read(now)
         else:
@@ -179,7 +184,7 @@ class FleetClock:
         return self._offset if self._known else None
 
     def follow(self, reference: int, now: float) -> None:
-        """Follow another reference robot from now on. Earlier exchanges with it count."""
+        """Follow robot `reference` from now on. Earlier exchanges with that robot are used as well."""
         if reference == self.reference:
             return
         self.read(now)
@@ -190,17 +195,18 @@ class FleetClock:
         self._estimated = -inf
         self._known = self._known or reference == self._pid or self._estimate(now) is not None
 
-    def take(self, peer: int, sent: float, received: float, answered: float, now: float, fleet: float | None) -> bool:
-        """Add an exchange with a peer. Return False for stamps that no honest exchange yields.
+    def add(self, peer: int, sent: float, received: float, answered: float, now: float, fleet: float | None) -> bool:
+        """Add an exchange with a peer. Return False for time stamps that no honest exchange yields.
 
-        `sent` and `now` (back) are times of the local clock, `received` and `answered` of the peer's; `fleet` is the
-        peer's `offset`."""
+        sent, now: local times (s) at which this robot sent its datagram and received the answer.
+        received, answered: times (s) on the peer's clock at which the peer received the datagram and answered.
+        fleet: fleet time minus the peer's local time (s), as the peer reports it; None if unknown to the peer."""
         edges = _Edges(now, answered - now - ROUNDING, sent, received - sent + ROUNDING)
         low, high = edges.on(now, (-DRIFT, DRIFT))
         if not (peer != self._pid and sent <= now and received <= answered and low <= high):
             return False
         before = self._exchanges.get(peer) or _PeerClock()
-        after = self._exchanges[peer] = before.take(edges, fleet)
+        after = self._exchanges[peer] = before.add(edges, fleet)
         self._estimated = -inf
         if peer == self.reference:
             self.breaks += after is not before
@@ -208,11 +214,11 @@ class FleetClock:
         return True
 
     def lock(self) -> None:
-        """Forbid steps back: the mission's start is fixed."""
+        """Forbid fleet time to go back from now on, because the start of the mission is fixed."""
         self._locked = True
 
     def read(self, now: float) -> float:
-        """Return the fleet time at local time `now`. Once locked, it never decreases unless `now` does."""
+        """Return the fleet time at local time `now`. After `lock`, it decreases only if `now` decreases."""
         if 0.0 <= now - self._estimated < FRESH:
             if now > self._last:
                 self._last = now
@@ -225,7 +231,7 @@ class FleetClock:
                 most = SLEW * max(0.0, now - self._last)
                 if abs(wanted) > most:
                     wanted = copysign(most, wanted)
-                    self._estimated = -inf  # the rest is corrected by later calls
+                    self._estimated = -inf  # later calls correct the remaining deviation
             self._offset += wanted
         self._last = max(self._last, now)
         return now + self._offset
@@ -235,11 +241,11 @@ class FleetClock:
         return fleet - self._offset
 
     def _estimate(self, now: float) -> tuple[float, float] | None:
-        """Return fleet time minus local time as the reference reported it, and a bound of its error."""
+        """Return fleet time minus local time as reported by the reference, and the largest error (s)."""
         peer = self._exchanges.get(self.reference)
         if peer is None or peer.fleet is None or self.reference == self._pid:
             return None
         low, high = peer.limits(now)
-        # the peer itself still followed another reference
-        moved = SLEW * max(0.0, now - peer.said) if peer.said < self._followed else 0.0
+        # The report is older than the change of reference: the peer itself still followed another robot then.
+        moved = SLEW * max(0.0, now - peer.reported_at) if peer.reported_at < self._followed else 0.0
         return peer.fleet + (low + high) / 2, (high - low) / 2 + moved

@@ -1,7 +1,7 @@
-"""Socket batch I/O of one robot: waiting for datagrams, receiving them in batches, sending.
+"""Socket batch I/O of one robot: sends datagrams, waits for datagrams and receives them in batches.
 
-`PythonInbox` is the implementation in Python and documents the interface. `socket_batch.CompiledInbox` is the same in
-C. Only `open_inbox` chooses between the two."""
+`Inbox` is the interface. `PythonInbox` implements it in Python, and `socket_batch.CompiledInbox` in C. `open_inbox`
+chooses between these two classes."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ from typing import Protocol
 from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
 
-NAP = 20e-6  # seconds of sleep for each missing datagram
+NAP = 20e-6  # seconds of sleep for each datagram that is still missing
 
 
 class Inbox(Protocol):
-    """Interface of batch I/O. For one thread. No call raises."""
+    """Interface of socket batch I/O. Only one thread may use an inbox. No call raises."""
 
     def address(self, place: int, address: Address) -> None:
-        """Set the address of a place: a robot's pid, or GROUP."""
+        """Set the address of a receiver: `place` is a robot's pid, or GROUP."""
         ...
 
     def send(self, place: int, datagram: bytes) -> int:
         """Send from the first socket without blocking. Return 0, or the errno of the failure.
 
-        A datagram to the group also comes back to the sender; the inbox drops that copy. After such a send the inbox
-        yields the core if it `shares` the computer with other robots: all wait for the last of them."""
+        A datagram to the group also comes back to its sender, and the inbox drops that copy. If other robots run on the
+        same computer, the inbox yields the core after a send to the group, because all robots wait for the last one."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """See Transport. A datagram that arrives just before the time runs out may be left for the next call."""
+        """Wait as Transport.wait does. A datagram at the very end may be left for the next call."""
         ...
 
     def receive(self) -> list[bytes]:
-        """See Transport."""
+        """Return the datagrams received since the last call, as Transport.receive does."""
         ...
 
     def close(self) -> None:
-        """Stop using the sockets; call it before they are closed."""
+        """Stop using the sockets. Call this method before the sockets are closed."""
         ...
 
 
 def open_inbox(sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool) -> Inbox:
-    """Return the inbox of non-blocking sockets: in C if it can be compiled.
+    """Return an inbox for non-blocking sockets: a CompiledInbox if its C source can be compiled.
 
-    `trouble` receives the errno of each failure to receive. `shares`: other robots of the group run on this
-    computer."""
+    trouble: function that is called with the errno of each failure to receive.
+    shares: other robots of the fleet run on this computer."""
     found = socket_batch.COMPILED.library()
     if found is None:
         return PythonInbox(sockets, trouble, shares)
@@ -62,12 +62,12 @@ PYTHON_COSTS = "sockets are read by Python: a round takes about 10 % more CPU, a
 
 
 def accelerator() -> str:
-    """Return why inboxes are not in C; "" if they are. The first call in a process may compile for 0.3 s."""
+    """Return the reason why inboxes are not in C, or "". The first call may spend 0.3 s on compilation."""
     return socket_batch.COMPILED.why()
 
 
 class PythonInbox:
-    """Inbox in Python: see Inbox."""
+    """Implementation of Inbox in Python."""
 
     def __init__(self, sockets: Sequence[socket.socket], trouble: Callable[[int], None], shares: bool = False) -> None:
         self._trouble, self._shares = trouble, shares
@@ -88,13 +88,13 @@ class PythonInbox:
             return errno.EBADF
         if place not in self._addresses:
             return errno.EDESTADDRREQ
-        if place == GROUP:  # also if sending fails: the system may have returned the copy by then
+        if place == GROUP:  # before the send, because the system may return the copy at once
             self._echoes.append(datagram)
         try:
             next(iter(self._sockets.values())).sendto(datagram, self._addresses[place])
         except OSError as error:
             return error.errno or errno.EIO
-        if place == GROUP and self._shares:  # let robots on this core send first: all robots wait for the last one
+        if place == GROUP and self._shares:  # other robots on this core also have to send
             os.sched_yield()
         return 0
 
@@ -114,8 +114,8 @@ class PythonInbox:
 
     def receive(self) -> list[bytes]:
         self._drain()
-        taken, self._arrived, self._troubled = self._arrived, [], False
-        return taken
+        received, self._arrived, self._troubled = self._arrived, [], False
+        return received
 
     def close(self) -> None:
         for number in self._sockets:
@@ -128,7 +128,7 @@ class PythonInbox:
 
     def _ready(self, seconds: float) -> bool:
         """Return whether a datagram arrives at a socket within `seconds`."""
-        # poll rounds up to milliseconds: use select for the last one, or rounds would begin late.
+        # `poll` counts in milliseconds, so `select` waits for the last fraction. Otherwise rounds would begin late.
         end = time.monotonic() + seconds
         if seconds >= 0.001 and self._poll.poll(int(seconds * 1000)):
             return True
@@ -144,7 +144,7 @@ class PythonInbox:
                 self._read(self._sockets[number])
 
     def _read(self, source: socket.socket) -> None:
-        """Receive from one socket, at most IN_TURN datagrams, before other sockets are served."""
+        """Receive at most IN_TURN datagrams from one socket, so that other sockets are served soon."""
         try:
             for _ in range(min(IN_TURN, MOST_AT_ONCE - len(self._arrived))):
                 datagram = source.recv(LARGEST)
@@ -152,12 +152,15 @@ class PythonInbox:
                     self._arrived.append(datagram)
         except BlockingIOError:
             pass
-        except OSError as error:  # the error of an earlier send; datagrams may still wait
+        except OSError as error:  # error of an earlier send; the socket may still have datagrams
             self._troubled = True
             self._trouble(error.errno or 0)
 
     def _is_echo(self, datagram: bytes) -> bool:
-        """Return whether a datagram is the copy of an own one. Each comes back once, and no two are equal."""
+        """Return whether a datagram is the copy of one that this robot sent to the group.
+
+        Each copy comes back once, and no two datagrams of a robot are equal.
+        """
         if datagram not in self._echoes:
             return False
         self._echoes[self._echoes.index(datagram)] = None

@@ -1,4 +1,4 @@
-"""Wire layout of a program's shared variables: indices, types, initial values and maximal lengths."""
+"""Wire layout of a program's shared variables: indices, types, initial values and largest lengths."""
 
 from __future__ import annotations
 
@@ -16,22 +16,24 @@ from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible
 
 MOST_ENTRY = 128 * 1024  # largest size of one robot's entry of one round, in bytes
-MOST_SHARED = 256  # largest number of shared variables, and so of writes in an entry
+MOST_SHARED = 256  # largest number of shared variables, and therefore of writes in an entry
 PATCH_FROM = 256  # bytes; a shorter value is sent whole, because computing a patch costs more than it saves
 
-_ENTRY = 1 + 1 + 3 * 9 + 3 + 3 + 3  # array, author, incarnation, first, round, three bools, lock, array of writes
-_WRITE = 1 + 3 + 1  # array, index, bool
-_PLAIN = str, int, float, bool  # types whose values any encoding returns unchanged
+# Bytes of an encoded entry without its writes: array, author, 3 numbers (incarnation, first, round), 3 bools, lock,
+# array of writes.
+_ENTRY = 1 + 1 + 3 * 9 + 3 + 3 + 3
+_WRITE = 1 + 3 + 1  # bytes of an encoded write without its value: array, index, bool
+_PLAIN = str, int, float, bool  # types whose values are equal after encoding and decoding
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
 
 
 class TooLarge(Exception):
-    """Too large to be sent: writes of one round, or the whole store; or too many robots or variables."""
+    """Raised if a program's writes or store are too large to be sent, or for too many robots or variables."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unpatched:
-    """Written value that was received as a patch to the round's first value: see `resolve`."""
+    """Value received as a patch to the value at the beginning of the round. `resolve` applies the patch."""
 
     patch: bytes
 
@@ -52,7 +54,7 @@ class Layout:
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
         if len(shared) > MOST_SHARED:
-            raise TooLarge(f"a program of {len(shared)} shared variables; at most {MOST_SHARED} are supported")
+            raise TooLarge(f"a program with {len(shared)} shared variables; at most {MOST_SHARED} are supported")
         needed, most = self.entry_bytes, most_entry(n_sys)
         if needed > most:
             raise TooLarge(
@@ -62,24 +64,24 @@ class Layout:
         if needed > most:
             raise TooLarge(
                 f"all shared variables together take up to {needed} bytes; with {n_sys} robots at most {most} can be "
-                "handed to a robot that comes back"
+                "sent to a robot that rejoins"
             )
 
     @property
     def entry_bytes(self) -> int:
-        """Maximal length of an encoded entry, in bytes."""
+        """Largest length of an encoded entry, in bytes."""
         return _ENTRY + sum(_WRITE + v.bound.bytes for v in self._shared)
 
     @property
     def snapshot_bytes(self) -> int:
-        """Maximal length of an encoded snapshot, in bytes."""
+        """Largest length of an encoded snapshot, in bytes."""
         n, array = self.n_sys, 1 if self.n_sys < 16 else 3
         view = 1 + 2 * 9 + array + 9 * n
         beside = 1 + view + 9 + (1 if len(self._shared) < 16 else 3) + (array + 9 * n) + (array + 5 * n)
         return beside + sum(array + n * v.bound.bytes if v.kind == "allread" else v.bound.bytes for v in self._shared)
 
     def initial(self) -> dict[str, Any]:
-        """Return the shared variables before any `init`; an allread variable as the tuple of its slots."""
+        """Return name -> initial value of each shared variable. An allread variable is the tuple of its slots."""
         values = {v.name: v.initial() for v in self._shared}
         return {
             name: (value,) * self.n_sys if slots else value
@@ -87,9 +89,9 @@ class Layout:
         }
 
     def base(self, index: int, store: Mapping[str, Any], author: int) -> Any:
-        """Return the value that an author's write replaces.
+        """Return the value in `store` that an author's write replaces.
 
-        The variable's, or the author's slot of an allread one."""
+        For an allread variable this is the author's slot, else the value of the variable."""
         value = store[self.names[index]]
         return value[author] if self.is_slots[index] else value
 
@@ -98,7 +100,7 @@ class Layout:
         return tuple([msgspec.Raw(encoder.encode(store[name])) for name in self.names])
 
     def unpack(self, values: Sequence[msgspec.Raw]) -> dict[str, Any] | None:
-        """Decode a store encoded by `pack`; None if it does not fit this program."""
+        """Decode a store that `pack` has encoded. Return None if the store does not fit this program."""
         if len(values) != len(self.names):
             return None
         store: dict[str, Any] = {}
@@ -116,11 +118,13 @@ class Layout:
     def written(
         self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
     ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
-        """Return the writes of an author's event as sent, and their values as `read` returns them.
+        """Return the encoded writes of an author's event, and their values as `read` returns them.
 
-        A large value that differs little from that in `store`, with which its round began, is sent as a patch. A number
-        or text of exactly the variable's type equals its decoded encoding, so it is not decoded again. The second
-        result is None if a value does not fit the program."""
+        shared: name -> value that the event wrote.
+        store: shared variables at the beginning of the round. A large value that differs little from its value in
+            `store` is encoded as a patch.
+        A number or text of exactly the variable's type is equal after encoding and decoding, so it is not decoded. The
+        second result is None if a value does not fit the program."""
         writes: list[Write] = []
         values: list[tuple[int, Any]] = []
         for index in sorted([self._by_name[name] for name in shared]):
@@ -140,9 +144,9 @@ class Layout:
         return tuple(writes), None if any(item is None for _, item in values) else values
 
     def read(self, entry: Entry) -> Sequence[tuple[int, Any]] | None:
-        """Return the values of an entry with the indices of their variables; a patch is returned as Unpatched.
+        """Return the values of an entry as pairs (index of the variable, value).
 
-        None if the entry does not fit this program."""
+        For a patch, the value is an Unpatched object. Return None if the entry does not fit this program."""
         first, round_, writes = entry.first, entry.round, entry.writes
         if entry.author >= self.n_sys or first > round_:
             return None
@@ -170,18 +174,18 @@ class Layout:
         return values
 
     def resolve(self, index: int, item: Any, base: Any) -> Any | None:
-        """Return the value of a result of `read`, if the round began with `base`.
+        """Return the value for `item`, a result of `read`: apply the patch if `item` is one.
 
-        None for a patch that does not fit.
-
-        The result depends on nothing else, so either all robots apply the write or none does."""
+        base: the variable's value at the beginning of the round.
+        Return None for a patch that does not fit `base`. The result depends only on the arguments, so either all robots
+        apply the write or none does."""
         if not isinstance(item, Unpatched):
             return item
         data = patched(self._encoding(index, base), item.patch, self._shared[index].bound.bytes)
         return None if data is None else self._value(index, data)
 
     def _value(self, index: int, data: bytes | msgspec.Raw) -> Any | None:
-        """Decode a value; None if this program cannot write it."""
+        """Decode a value of variable `index`; None if this program cannot write the value."""
         try:
             value = self._decoders[index].decode(data)
         except (ValueError, RecursionError):
@@ -189,7 +193,7 @@ class Layout:
         return value if self._fits[index](value) else None
 
     def _encoding(self, index: int, value: Any) -> bytes:
-        """Return the encoding of a value. Cached, because several robots may patch it in one round."""
+        """Return the encoding of a value. It is cached, because several robots may patch a value in one round."""
         known = self._encoded.get(index)
         if known is None or known[0] is not value:
             known = self._encoded[index] = value, encoder.encode(value)
@@ -197,7 +201,7 @@ class Layout:
 
 
 def _fits(variable: Variable) -> Callable[[Any], bool]:
-    """Return a test whether a value of the variable's type is one that this program can write."""
+    """Return a predicate: whether this program can write a given value to the variable."""
     bound = variable.bound
 
     def fits(value: Any) -> bool:
@@ -213,12 +217,10 @@ def _fits(variable: Variable) -> Callable[[Any], bool]:
 
 
 def most_entry(n_sys: int) -> int:
-    """Return the maximal length of an entry in a fleet of this size.
-
-    Many small fragments are worth less than a few large ones."""
+    """Return the largest length of an entry in bytes, for a fleet of `n_sys` robots."""
     return min(MOST_ENTRY, most_snapshot(n_sys))
 
 
 def most_snapshot(n_sys: int) -> int:
-    """Return the maximal length of an encoded snapshot in a fleet of this size: what fits into fragments."""
+    """Return the largest length of an encoded snapshot in bytes: as much as MOST_FRAGMENTS fragments hold."""
     return MOST_FRAGMENTS * (LIMIT - overhead(n_sys))

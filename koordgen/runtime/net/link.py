@@ -1,9 +1,7 @@
-"""Authenticated datagrams between one robot and its peers.
+"""Link of one robot to its peers: admission of datagrams, replay protection, time stamps, statistics.
 
-Admission, replay protection, clock stamps, statistics.
-
-No datagram raises or blocks. No datagram changes any state before it was found authentic, well formed, of this
-application, interface, program and mission, and new. Every other datagram is dropped and counted by its reason."""
+No datagram can raise an exception or block. A datagram is admitted only if it is authentic, well formed, new, and of
+this application, interface, program and mission. Every other datagram is dropped and counted by its reason."""
 
 from __future__ import annotations
 
@@ -24,10 +22,12 @@ from koordgen.runtime.values.clock import Clock
 
 
 class _Exchange(NamedTuple):
-    """A datagram of this robot and the peer's answer, in microseconds.
+    """Time stamps of a datagram from this robot to a peer and of the peer's answer, in microseconds.
 
-    `sent` at this robot's clock; `received` and `answered` at the peer's. `fleet` is the peer's fleet time minus its
-    clock, None if the peer does not know it."""
+    answered: time at which the peer sent the answer, on the peer's clock.
+    sent: time at which this robot sent its datagram, on this robot's clock.
+    received: time at which the peer received that datagram, on the peer's clock.
+    fleet: fleet time minus the peer's clock; None if the peer does not know the fleet time."""
 
     answered: int
     sent: int
@@ -36,11 +36,11 @@ class _Exchange(NamedTuple):
 
 
 class Link:
-    """Receive path (`receive`) and, by `speech`, send path of one robot.
+    """Receive path (`receive`) and send path (`sender`) of one robot.
 
-    `report` receives messages for the operator, once for each peer. `sessions` are those of the peers whose boot was
-    adopted, by pid. `strangers` are robots of this mission that sent messages from another boot than the adopted
-    one."""
+    report: function that reports a text to the operator; called once for each peer and kind of mismatch.
+    sessions: pid -> session of a peer whose boot was adopted.
+    strangers: robots of this mission that sent messages from a boot that was not adopted."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Link:
         self._interface = bytes.fromhex(program.interface_hash)
         self._program = bytes.fromhex(program.program_hash)
         self._release = bytes.fromhex(settings.release)
-        self._mission: tuple[int, bytes, bytes, bytes] | None = None  # expected in the head of every message but Hello
+        self._mission: tuple[int, bytes, bytes, bytes] | None = None  # in the head of every message but Hello
         self._decode = decoder(key)
         self._others_every = others_every(len(settings.peers))
         self._transport = transport
@@ -74,20 +74,20 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.speech = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self.sender = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
 
     @property
     def epoch(self) -> bytes:
-        """Id of the mission of sent and accepted messages; empty before the mission is known."""
-        return self.speech.epoch
+        """Id of the mission: part of all sent and accepted messages; empty before the mission is known."""
+        return self.sender.epoch
 
     @epoch.setter
     def epoch(self, epoch: bytes) -> None:
-        self.speech.epoch = epoch
+        self.sender.epoch = epoch
         self._mission = (self._application, self._interface, self._program, epoch) if epoch else None
 
     def keep_time(self, reference: int, now: float) -> None:
-        """Follow the fleet time of another robot; its next message yields an exchange at once."""
+        """Follow the fleet time of robot `reference`. Its next message with an echo updates the clock at once."""
         if reference != self._fleet_clock.reference:
             self._fleet_clock.follow(reference, now)
             if reference in self.sessions:
@@ -96,13 +96,13 @@ class Link:
     def receive(self) -> list[ReplicaMessage]:
         """Return the admitted messages for the replica, in the order of arrival.
 
-        Hellos are kept for `take_hellos`."""
+        Hello messages are kept for `pop_hellos`."""
         datagrams = self._transport.receive()
         return self._admitted(datagrams) if datagrams else []
 
     def _admitted(self, datagrams: Sequence[bytes]) -> list[ReplicaMessage]:
-        """Return admitted messages; record replay window, clock stamps and statistics of each message."""
-        local = self._clock.now()  # an upper bound of the arrival times
+        """Return the messages of admitted datagrams. Update replay windows, time stamps and statistics."""
+        local = self._clock.now()  # upper bound of the datagrams' arrival times
         fleet = self._fleet_clock.read(local) if self._fleet_clock.known else None
         arrived, decode, sessions, mission = microseconds(local), self._decode, self.sessions, self._mission
         admitted: list[ReplicaMessage] = []
@@ -146,13 +146,13 @@ class Link:
             self._learn(exchanges, local)
         return admitted
 
-    def take_hellos(self) -> list[Hello]:
-        """Return the Hellos received. A Hello of a boot that was not adopted has changed nothing."""
+    def pop_hellos(self) -> list[Hello]:
+        """Return the Hello messages received since the last call, also of processes that are not adopted."""
         hellos, self._hellos = self._hellos, []
         return hellos
 
     def adopt(self, hello: Hello) -> None:
-        """Begin a session with the peer's boot of this Hello; an earlier boot is no longer accepted."""
+        """Begin a session with the boot that sent a Hello. Messages of the peer's earlier boot are refused."""
         head = hello.head
         self.sessions[head.pid] = PeerSession(head.boot, head.sequence, head.sent, microseconds(self._clock.now()))
 
@@ -164,18 +164,16 @@ class Link:
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
     def _refusal(self, message: Message, adopted: bool) -> str | None:
-        """Return why a message is refused, or None.
+        """Return the reason why a message is refused, or None. The sequence number is not checked.
 
-        `adopted`: its boot is adopted. Ignores the sequence number.
-
-        Called only for messages that differ from the common head of the mission's messages."""
+        `adopted`: the boot that sent the message is adopted."""
         head = message.head
         reason = self._foreign(head)
         if reason is not None:
             return reason
         if isinstance(message, Hello):
             if message.release != self._release:
-                return self._tell(head.pid, "another release", message.release, self._release)
+                return self._report_mismatch(head.pid, "another release", message.release, self._release)
             return None if message.to == self.pid else "for another robot"
         if not self.epoch or head.epoch != self.epoch:
             return "another mission"
@@ -185,18 +183,18 @@ class Link:
         return None
 
     def _foreign(self, head: Head) -> str | None:
-        """Return why a head is not from a peer with the same application, interface and program, or None."""
+        """Return why a head is not from a peer with this application, interface and program, or None."""
         if head.application != self._application:
             return "another application"
         if head.pid >= len(self._names) or head.pid == self.pid:
             return "not a peer"
         if head.interface != self._interface:
-            return self._tell(head.pid, "another interface", head.interface, self._interface)
+            return self._report_mismatch(head.pid, "another interface", head.interface, self._interface)
         if head.program != self._program:
-            return self._tell(head.pid, "another program", head.program, self._program)
+            return self._report_mismatch(head.pid, "another program", head.program, self._program)
         return None
 
-    def _tell(self, pid: int, what: str, theirs: bytes, ours: bytes) -> str:
+    def _report_mismatch(self, pid: int, what: str, theirs: bytes, ours: bytes) -> str:
         if (pid, what) not in self._reported:
             self._reported.add((pid, what))
             self._report(
@@ -206,20 +204,20 @@ class Link:
         return what
 
     def _exchange(self, head: Head) -> _Exchange | None:
-        """Return the exchange that a head completes: its first echo of a datagram of this robot."""
+        """Return the exchange that a head completes with an echo of this robot's datagram, or None."""
         for echo in head.echoes:
             if echo.pid == self.pid:
                 return _Exchange(head.sent, echo.sent, echo.received, head.fleet)
         return None
 
     def _learn(self, exchanges: dict[int, _Exchange], local: float) -> None:
-        """Give the fleet clock one exchange of each peer, completed at `local`."""
+        """Pass an exchange with each peer to the fleet clock. `local`: local time (s) of their completion."""
         clock = self._fleet_clock
         for pid, (answered, sent, received, fleet) in exchanges.items():
             self.sessions[pid].due = local + (REFERENCE_EVERY if pid == clock.reference else self._others_every)
-            clock.take(pid, sent / 1e6, received / 1e6, answered / 1e6, local, None if fleet is None else fleet / 1e6)
+            clock.add(pid, sent / 1e6, received / 1e6, answered / 1e6, local, None if fleet is None else fleet / 1e6)
 
 
 def _order(exchange: _Exchange) -> tuple[int, int, int]:
-    """Return the sort key of an exchange: the latest is the greatest, in any order of arrival."""
+    """Return a sort key by which the exchange that the peer answered last is the greatest."""
     return exchange.answered, exchange.sent, exchange.received

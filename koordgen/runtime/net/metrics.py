@@ -1,4 +1,4 @@
-"""Statistics of links and rounds: counts and histograms of fixed size, each update O(1)."""
+"""Statistics of links and rounds: counters, and histograms of fixed size. Updates take constant time."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-PER_OCTAVE = 8  # buckets per octave: a quantile is right within 9 %
-_SHORTEST = 1e-6  # seconds
-BUCKETS = 32 * PER_OCTAVE  # up to more than an hour
-MOST_UNCOUNTED = 64  # calls of Metrics.heard after which the arrivals are counted as one batch
-RECENT = 512  # datagrams after which the weight of older ones is halved
+PER_OCTAVE = 8  # buckets per octave (a factor of 2 in duration); the error of a quantile is at most 9 %
+_SHORTEST = 1e-6  # seconds; shorter durations count as this duration
+BUCKETS = 32 * PER_OCTAVE  # number of buckets; they cover durations of up to 71 minutes
+MOST_UNCOUNTED = 64  # number of calls of Metrics.heard after which their arrivals are counted as one batch
+RECENT = 512  # number of datagrams after which older datagrams count half in the loss rate
 
 
 class Histogram:
@@ -60,12 +60,12 @@ class RoundCounters:
     skipped: int = 0
     missed: int = 0  # rounds during which the agent did not run
     faults: int = 0
-    discarded: int = 0  # faults due to the publish deadline
-    gave_way: int = 0  # transactions that lost to another robot's
-    current: int = 0  # rounds with current shared state in time
+    discarded: int = 0  # faults of events that were not finished by the publish deadline
+    gave_way: int = 0  # transactions that lost the lock to another robot's transaction
+    current: int = 0  # rounds in which the robot's shared state was current in time
     asked: int = 0  # NACKs sent for missing entries
-    out: int = 0  # rounds in which the others continued without this robot
-    in_a_row: int = 0  # consecutive rounds, up to now, without current state or time for an event
+    out: int = 0  # rounds in which the robot had no valid shared state
+    in_a_row: int = 0  # present number of consecutive rounds without current state or without time for an event
 
 
 _COUNTED = tuple(f.name for f in fields(RoundCounters))
@@ -74,21 +74,21 @@ _COUNTED = tuple(f.name for f in fields(RoundCounters))
 def tally(
     rejected: Mapping[str, int], troubles: Mapping[str, int], slow_calls: int, counters: RoundCounters | None
 ) -> dict[str, int]:
-    """Return all counters by name; dropped datagrams by reason."""
+    """Return name -> count of all counters. Dropped datagrams have one counter for each reason."""
     counted = {f"dropped: {k}": v for k, v in rejected.items()} | {f"network: {k}": v for k, v in troubles.items()}
     if slow_calls:
         counted["slow calls"] = slow_calls
     return counted if counters is None else counted | {name: getattr(counters, name) for name in _COUNTED}
 
 
-# Arrival of a round message: the peer's pid; increase of its round number (1 if no message is missing, k if k - 1 are,
-# 0 or less if it is late); seconds in the network, or None. A plain tuple is fastest.
+# Arrival of a round message: pid of the sender, increase of the sender's round number, seconds in the network (None if
+# unknown). The increase is 1 if no message is missing, k if k - 1 messages are missing. A plain tuple is fastest.
 Arrival = tuple[int, int, float | None]
 
 
 @dataclass(slots=True)
 class _PeerFigures:
-    """Statistics of one peer. `heard`: time of its last message; `longest`: longest silence (s)."""
+    """Statistics of one peer. `heard`: time of its last message. `longest`: its longest silence (s)."""
 
     expected: int = 0
     received: int = 0
@@ -100,13 +100,13 @@ class _PeerFigures:
 
 
 class Metrics:
-    """Statistics of robot `pid` in a fleet of `n_sys`. Times are seconds of one monotonic clock."""
+    """Statistics of robot `pid` in a fleet of `n_sys` robots. Times are seconds of one monotonic clock."""
 
     def __init__(self, pid: int, n_sys: int) -> None:
         self._pid = pid
         self._peers = [_PeerFigures() for _ in range(n_sys)]
         self._late = Histogram()
-        self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # see `heard`
+        self._uncounted: list[tuple[Iterable[Arrival], float]] = []  # (arrivals, time) of calls of `heard`
         self._round = 0
         self._rounds = self._current = self._events = 0
         self._skipped: dict[str, int] = {}
@@ -114,7 +114,7 @@ class Metrics:
     def heard(self, arrivals: Iterable[Arrival], now: float) -> None:
         """Count authentic round messages that have arrived by the local time `now`.
 
-        They are counted in batches, because the statistics of peers are far apart in memory."""
+        The messages are counted later in batches, because the statistics of peers are far apart in memory."""
         self._uncounted.append((arrivals, now))
         if len(self._uncounted) >= MOST_UNCOUNTED:
             self._count_all()
@@ -141,16 +141,20 @@ class Metrics:
                 peer.longest = silent
 
     def held(self, rounds: Sequence[int]) -> None:
-        """Record the round up to which each robot's log entries are held, by pid."""
+        """Record for each robot the last round up to which its entries are held; `rounds` is indexed by pid."""
         for peer, round_ in zip(self._peers, rounds, strict=True):
             peer.closed = max(peer.closed, round_)
 
     def repeated(self, pid: int) -> None:
-        """Count a retransmission requested from a peer."""
+        """Count a retransmission that was requested from peer `pid`."""
         self._peers[pid].repeats += 1
 
     def round(self, number: int, late: float, event: str | None, skipped: str | None, current: bool) -> None:
-        """Count a round that was decided `late` seconds after its tick; `skipped` says why no event could run."""
+        """Count round `number`.
+
+        late: seconds from the round's tick until the robot decided which event to run.
+        skipped: reason why no event could run, or None.
+        """
         self._round = number
         self._late.add(late)
         self._rounds += 1
@@ -160,9 +164,9 @@ class Metrics:
             self._skipped[skipped] = self._skipped.get(skipped, 0) + 1
 
     def snapshot(self, now: float, rejected: Mapping[str, int]) -> dict[str, Any]:
-        """Return plain values.
+        """Return the statistics as plain values.
 
-        Times in milliseconds, `loss` a share of what was sent lately, `behind` in rounds."""
+        Names with `_ms` are milliseconds. `loss` is the lost share of recent messages. `behind` counts rounds."""
         self._count_all()
         peers = {}
         for pid, peer in enumerate(self._peers):

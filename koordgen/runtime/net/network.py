@@ -11,15 +11,15 @@ from koordgen.runtime.net.transport import MOST_AT_ONCE
 from koordgen.runtime.net.wire import LIMIT
 from koordgen.runtime.values.clock import Clock
 
-OVERTAKEN = 0.05  # seconds by which a reordered datagram is delayed at most
+OVERTAKEN = 0.05  # seconds; largest additional delay of a reordered datagram
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Conditions of a link. Probabilities between 0 and 1; times in seconds.
+    """Simulated conditions of a link: probabilities from 0 to 1, times in seconds.
 
-    `jitter` is the largest random addition to `delay`, evenly distributed. A reordered datagram has up to OVERTAKEN
-    seconds more."""
+    `jitter` is the largest random addition to `delay`; the addition is uniformly distributed. A reordered datagram is
+    delayed by up to OVERTAKEN seconds more."""
 
     loss: float = 0.0
     delay: float = 0.001
@@ -28,7 +28,7 @@ class Conditions:
     reordering: float = 0.0
 
     def delays(self, dice: Random) -> list[float]:
-        """Return the delay of each copy of a datagram that arrives: none, one or two."""
+        """Return the delays of the zero, one or two copies of a datagram that arrive."""
         found = []
         for _ in range(2 if dice.random() < self.duplication else 1):
             lost = dice.random() < self.loss
@@ -40,15 +40,16 @@ class Conditions:
         return found
 
 
-Queue = list[tuple[float, int, bytes]]  # a heap: time of arrival, number, datagram
+Queue = list[tuple[float, int, bytes]]  # heap of (time of arrival, number of the datagram, datagram)
 
 
 class MemoryNetwork:
-    """Network that connects its transports.
+    """Simulated network that connects MemoryTransports. Equal seeds and equal sends give equal arrivals.
 
-    `conditions` hold for every link except those in `links`, by sender and receiver. `cut` returns whether datagrams
-    from one pid to another are lost now. With `group`, a datagram to several robots reaches all others, as with
-    multicast. The same seed and the same sends give the same arrivals."""
+    conditions: conditions of every link that is not in `links`.
+    links: (sender, receiver) -> conditions of a link.
+    cut: function that returns whether datagrams from one pid to another are lost now.
+    group: a datagram to several robots reaches all other robots, as with multicast."""
 
     def __init__(self, clock: Clock, seed: int, conditions: Conditions = Conditions(), group: bool = False) -> None:
         self._clock = clock
@@ -61,7 +62,7 @@ class MemoryNetwork:
         self._queues: dict[int, Queue] = {}
 
     def transport(self, pid: int) -> MemoryTransport:
-        """Return a new transport for a robot. Datagrams for its predecessor are dropped."""
+        """Return a new transport for robot `pid`. Datagrams on the way to its previous transport are dropped."""
         queue: Queue = []
         self._queues[pid] = queue
         return MemoryTransport(self, pid, queue)
@@ -84,7 +85,7 @@ class MemoryNetwork:
         return taken
 
     def next_arrival(self, pid: int, count: int = 1) -> float:
-        """Return the time at which `count` datagrams will have arrived at a robot."""
+        """Return the time at which `count` datagrams will have arrived at robot `pid`; inf if fewer are sent."""
         queue = self._queues.get(pid, [])
         if len(queue) < count:
             return float("inf")
@@ -97,7 +98,7 @@ class MemoryNetwork:
 
 
 class MemoryTransport:
-    """One robot's end of a MemoryNetwork."""
+    """Transport of one robot in a MemoryNetwork."""
 
     def __init__(self, network: MemoryNetwork, pid: int, queue: Queue) -> None:
         self._network = network
@@ -117,7 +118,7 @@ class MemoryTransport:
         return self._network.arrived(self._queue)
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        """Return at once: the owner of the simulation advances its time."""
+        """Return at once, because the simulation advances the time."""
 
     def close(self) -> None:
         self._closed = True

@@ -1,8 +1,8 @@
 """Patches between two encodings of a variable's value, for large values with small changes.
 
-A patch is a MessagePack list of runs (keep, drop, put): keep so many bytes of the old encoding, drop the next so many,
-insert these. The rest of the old encoding is kept. Patches are applied to data from the network, so applying one never
-raises and never produces more bytes than allowed."""
+A patch is a MessagePack list of runs (keep, drop, put): keep the next `keep` bytes of the old encoding, drop the next
+`drop` bytes, insert the bytes `put`. The rest of the old encoding is kept. Patches come from the network, so `patched`
+never raises and never returns more bytes than allowed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import re
 
 import msgspec
 
-WORTH = 0.6  # longest patch as a share of the new encoding; otherwise the value is sent whole, which is faster to apply
+WORTH = 0.6  # largest length of a patch as a share of the new encoding; otherwise the whole value is sent
 
-_GAP = re.compile(rb"\0{7,}")  # equal bytes that separate two runs: fewer cost less than another run's header
+_GAP = re.compile(rb"\0{7,}")  # gap of equal bytes between two runs; a shorter gap costs less than a further run
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(list[tuple[int, int, bytes]])
 
@@ -20,8 +20,8 @@ _decoder = msgspec.msgpack.Decoder(list[tuple[int, int, bytes]])
 def difference(old: bytes, new: bytes) -> bytes | None:
     """Return the patch from `old` to `new`; None if it is not much shorter than `new`.
 
-    It finds changes in place, anywhere, and one place at which the length changes (a list that grows or shrinks: its
-    header, in place, and the elements). Bytes behind that place are compared from the end."""
+    The patch covers replaced bytes anywhere, and one place at which bytes were inserted or removed, as in a list that
+    has grown or shrunk. Bytes behind that place are compared from the end."""
     shorter = min(len(old), len(new))
     if len(old) == len(new):
         tail = 0
@@ -30,7 +30,7 @@ def difference(old: bytes, new: bytes) -> bytes | None:
     before, after = old[: len(old) - tail], new[: len(new) - tail]
     aligned = min(len(before), len(after))
     runs: list[tuple[int, int, bytes]] = []
-    done = 0  # bytes of `before` that the runs so far account for
+    done = 0  # number of bytes of `before` that the runs cover
     size = 0
     for start, end in _runs(_differing(before[:aligned], after[:aligned])):
         runs.append((start - done, end - start, after[start:end]))
@@ -45,7 +45,7 @@ def difference(old: bytes, new: bytes) -> bytes | None:
 
 
 def patched(old: bytes, patch: bytes, most: int) -> bytes | None:
-    """Apply a patch to `old`; None if it is invalid, does not fit, or yields more than `most` bytes."""
+    """Apply a patch to `old`. Return None if the patch is invalid or yields more than `most` bytes."""
     try:
         runs = _decoder.decode(patch)
     except (ValueError, RecursionError):
@@ -64,12 +64,12 @@ def patched(old: bytes, patch: bytes, most: int) -> bytes | None:
 
 
 def _differing(a: bytes, b: bytes) -> bytes:
-    """Return the XOR of two strings of equal length: zero where they are equal."""
+    """Return the XOR of two byte strings of equal length. A zero byte marks equal bytes."""
     return (int.from_bytes(a, "little") ^ int.from_bytes(b, "little")).to_bytes(len(a), "little")
 
 
 def _runs(differing: bytes) -> list[tuple[int, int]]:
-    """Return the differing ranges [start, end), ascending, without equal bytes at either end."""
+    """Return the ranges [start, end) of nonzero bytes, ascending; gaps below 7 zero bytes are included."""
     end = len(differing.rstrip(b"\0"))
     start = len(differing) - len(differing.lstrip(b"\0"))
     runs = []

@@ -1,6 +1,6 @@
-"""Sender of one robot's messages: adds heads, and divides long messages.
+"""Sender of one robot's messages: adds heads, and splits messages that are longer than a datagram.
 
-A round message takes as few datagrams as possible. Entries longer than a datagram are sent in fragments."""
+A round message is sent in as few datagrams as possible. Entries longer than a datagram are sent in fragments."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from koordgen.runtime.net.wire import (
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
-REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between two exchanges used by the clock
-OTHERS = 16  # robots in a fleet up to which OTHERS_EVERY holds; in a larger fleet, exchanges with each peer are rarer
-ECHOES_A_LESSON = 2  # echoes sent for each exchange that the clock needs, because some are lost
+REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between two exchanges with the reference, with another peer
+OTHERS = 16  # largest fleet in which OTHERS_EVERY holds; in a larger fleet, exchanges with each peer are rarer
+ECHOES_A_LESSON = 2  # number of echoes sent for each exchange that the fleet clock needs, because some echoes are lost
 MOST_DATAGRAMS = 4  # largest number of datagrams of one round message
 MOST_FRAGMENTS_AT_ONCE = 16
 NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
 
-# fields of wire.RoundMessage after its head
+# Fields of a RoundMessage after its head.
 Fields = tuple[int, int, int, int, bool, tuple[int, ...], tuple[Entry, ...]]
 
 
 class MessageSender:
     """Sender of one robot's messages.
 
-    `sessions` are those of adopted peers by pid: their datagrams are echoed."""
+    sessions: pid -> session of an adopted peer. Datagrams of these peers are echoed, for the fleet clock."""
 
     def __init__(
         self,
@@ -60,10 +60,10 @@ class MessageSender:
         sessions: Mapping[int, PeerSession],
     ) -> None:
         self.epoch = b""
-        self.room = LIMIT - overhead(len(settings.peers))  # bytes for entries or a fragment in one datagram
+        self.room = LIMIT - overhead(len(settings.peers))  # bytes in one datagram for entries or a fragment
         self._pid = settings.pid
         hashes = bytes.fromhex(program.interface_hash), bytes.fromhex(program.program_hash)
-        self._own = settings.application_id, *hashes, settings.pid, boot  # first fields of every head
+        self._own = settings.application_id, *hashes, settings.pid, boot  # fields at the beginning of every head
         self._release = bytes.fromhex(settings.release)
         self._key = key
         self._transport = transport
@@ -72,23 +72,24 @@ class MessageSender:
         self._sessions = sessions
         self._sequence = 0  # sequence number of the last datagram
         self._others_every = others_every(len(settings.peers))
-        self._echoed: dict[int, float] = {}  # time of the last echo to each peer, the longest ago first
-        self._next_echo = -math.inf  # no echo is due before
+        self._echoed: dict[int, float] = {}  # pid -> time of the last echo to that peer, by ascending time
+        self._next_echo = -math.inf  # time before which no echo is due
 
     def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Entry | None,
               start: int | None) -> None:  # fmt: skip
         self._send([to], Hello(self._head([to], 0.0), to, challenge, answer, holds, init, start, self._release))
 
-    def say(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
-        """Send one message of this kind, with its fields behind the head."""
+    def send(self, to: Collection[int], kind: type[Message], *fields: Any) -> None:
+        """Send a message of class `kind`; `fields` are its fields after the head."""
         if to:
             self._send(list(to), kind(self._head(to), *fields))
 
     def round(self, to: Sequence[int], fields: Fields, received: Mapping[int, HeldFragments] = NOTHING) -> None:
-        """Send a round message: one datagram, or as few as its entries fit into, at most MOST_DATAGRAMS.
+        """Send a round message in as few datagrams as possible, at most MOST_DATAGRAMS.
 
-        `fields` are those of RoundMessage without the head. Entries beyond the last datagram are sent on request. Of an
-        entry that is longer than a datagram, the fragments that are not in `received` (by author) are sent."""
+        fields: fields of the RoundMessage without the head. Entries that do not fit are sent later, on request.
+        received: author -> fragments of the author's long entry that the receiver has. Only other fragments are sent.
+        """
         if not to:
             return
         head = self._head(to)
@@ -110,9 +111,9 @@ class MessageSender:
             self._send(to, RoundMessage(self._head(to) if index else head, *fields[:-1], batch))
 
     def _head(self, to: Collection[int], every: float | None = None) -> Head:
-        """Return the head of the next datagram.
+        """Return the head of the next datagram to robots `to`.
 
-        `every`: seconds between echoes to one peer; None: as often as peers use them."""
+        `every`: seconds between echoes to one peer; None: as often as the peers' clocks need echoes."""
         now = self._clock.now()
         offset = self._fleet_clock.offset(now)
         echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
@@ -121,7 +122,7 @@ class MessageSender:
         return Head(*self._own, self.epoch, self._sequence, *stamps, echoes)
 
     def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
-        """Return the echoes for those peers in `to` that are due. The reference sends them most often."""
+        """Return the echoes that are due to peers in `to`. The reference robot sends echoes most often."""
         if every is None:
             reference = self._fleet_clock.reference == self._pid
             every = (REFERENCE_EVERY if reference else self._others_every) / ECHOES_A_LESSON
@@ -136,12 +137,12 @@ class MessageSender:
             if everyone or pid in to:
                 due.append(pid)
         else:
-            last = now  # all were due
-        if everyone and now - last < every:  # no peer is left that is due
-            # peers due a little later are postponed, and share one datagram
+            last = now  # an echo to every peer was due
+        if everyone and now - last < every:  # no further echo is due now
+            # Echoes that will be due within half a period are postponed, so that they share one datagram.
             self._next_echo = max(last, now - every / 2) + every
         for pid in due:
-            del echoed[pid]  # goes to the end
+            del echoed[pid]  # the next line inserts the peer at the end
             echoed[pid] = now
         return tuple([Echo(p, sessions[p].sent, sessions[p].arrived) for p in due if sessions[p].sent >= 0])
 
@@ -164,7 +165,7 @@ class MessageSender:
             if batch and length > room:
                 batches.append(tuple(batch))
                 if len(batches) == MOST_DATAGRAMS:
-                    return batches  # the rest is sent on request, and may be long
+                    return batches  # further entries are sent on request
                 batch, room = [], self.room
             batch.append(entry)
             room -= length
@@ -175,10 +176,10 @@ class MessageSender:
 
 
 def others_every(n_sys: int) -> float:
-    """Return the seconds between exchanges with a peer that is not the reference.
+    """Return the seconds between two exchanges with a peer that is not the reference.
 
-    These exchanges are needed because that peer may become the reference. They are rarer in a large fleet, where they
-    would otherwise cost more than all other messages."""
+    The fleet clock needs these exchanges because the peer may become the reference. In a large fleet they are rarer,
+    because they would otherwise cost more than all other messages."""
     return OTHERS_EVERY * max(1.0, n_sys / OTHERS)
 
 

@@ -1,11 +1,11 @@
-"""Peer sessions: the adopted boot of each peer, its replay window, and its stamps for the fleet clock."""
+"""Peer session: the adopted boot of one peer, with its replay window and its time stamps."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
 
-REPLAY_WINDOW = 1024  # datagrams that may arrive out of order
+REPLAY_WINDOW = 1024  # largest number of sequence numbers by which a datagram may be late
 
 
 @dataclass(slots=True)
@@ -13,12 +13,12 @@ class PeerSession:
     """State of one boot of one peer, from its adoption on.
 
     newest: highest sequence number received.
-    skipped: lower sequence numbers that may still be accepted. Numbers up to `newest` at the time of the adoption are
-        never accepted, because such datagrams may be recorded ones.
+    skipped: lower sequence numbers that may still be accepted. A number that is at most `newest` at the adoption is
+        never accepted, because its datagram may be a replay.
     sent: latest time stamp received, in microseconds of the peer's clock; -1: none.
     arrived: arrival time of that stamp, in microseconds of the local clock.
-    round: highest round that the peer reported.
-    due: local time (s) from which the fleet clock needs another exchange.
+    round: highest round that the peer has reported.
+    due: local time (s) from which on the fleet clock needs another exchange of time stamps with the peer.
     """
 
     boot: bytes
@@ -30,11 +30,11 @@ class PeerSession:
     skipped: set[int] = field(default_factory=set)
 
     def accept(self, sequence: int) -> bool:
-        """Record a sequence number.
+        """Record the sequence number of a received datagram. Return whether the datagram may be accepted.
 
-        False if it was recorded before, or is REPLAY_WINDOW or more behind the newest."""
+        A number is refused if it was recorded before, or is REPLAY_WINDOW or more behind the newest number."""
         newest, skipped = self.newest, self.skipped
-        if sequence == newest + 1:  # nearly always
+        if sequence == newest + 1:  # the usual case: datagrams arrive in order
             self.newest = sequence
             return True
         if sequence <= newest:

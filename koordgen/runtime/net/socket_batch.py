@@ -1,6 +1,6 @@
-"""Socket batch I/O in C: the binding of socket_batch.c, with the interface that `inbox` documents.
+"""Socket batch I/O in C: the binding of socket_batch.c, which implements `inbox.Inbox`.
 
-The library is compiled at its first use in a process, kept in a cache, and loaded by ctypes: see `native`.
+The loader in `native` compiles the library at its first use, keeps it in a cache, and loads it by ctypes.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ FLAGS = (
     f"-DGROUP={GROUP}",
 )
 _MOST_ERRORS = 16
-_LONGEST = 2000.0  # seconds: the longest wait that C accepts
+_LONGEST = 2000.0  # seconds; longest wait that the C library accepts
 
 
 class Shown(ctypes.Structure):
-    """Fields of an inbox that C and Python share: see Shown in socket_batch.c."""
+    """Fields of an inbox that C and Python share; the same layout as `Shown` in socket_batch.c."""
 
     _fields_ = (
         ("spins", c_int64),
@@ -49,9 +49,9 @@ class Shown(ctypes.Structure):
 
 
 def prove(found: ctypes.CDLL) -> None:
-    """Declare the library's functions to ctypes, and test it.
+    """Declare the functions of a library to ctypes, and test the library.
 
-    Raises NotCompiled if it does not fit this module.
+    Raises NotCompiled if the library does not fit this module.
     """
     declare(found, "socket_batch_", _FUNCTIONS)
     if found.socket_batch_shown_size() != ctypes.sizeof(Shown):
@@ -62,7 +62,7 @@ def prove(found: ctypes.CDLL) -> None:
         raise NotCompiled("the compiled socket I/O receives datagrams without a socket")
 
 
-# ctypes converts undeclared arguments after the first (ints and bytes) three times as fast as declared ones.
+# Only the first argument is declared: ctypes converts undeclared ints and bytes three times as fast as declared ones.
 _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "inbox_size": (c_size_t, ()),
     "shown_size": (c_size_t, ()),
@@ -77,16 +77,16 @@ COMPILED = Compiled(SOURCE, FLAGS, prove)
 
 
 class CompiledInbox:
-    """Inbox in C: see `inbox.Inbox`. Python owns its memory, so there is nothing to free.
+    """Implementation of `inbox.Inbox` in C. Python owns the memory, so C has nothing to free.
 
-    C receives into slots, LARGEST bytes apart; `shown.length` says how many bytes are in each of the first
-    `shown.used`, negative for an own datagram that came back.
+    C receives each datagram into a slot of LARGEST bytes. The first `shown.used` slots are in use. `shown.length` has
+    the number of bytes in each slot; it is negative for a copy of a datagram that this robot sent to the group.
     """
 
     def __init__(self, found: ctypes.CDLL, sockets: Sequence[socket.socket], trouble: Callable[[int], None],
                  shares: bool = False) -> None:  # fmt: skip
         self._trouble = trouble
-        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system creates its pages on first use
+        self._slots = mmap.mmap(-1, MOST_AT_ONCE * LARGEST)  # the system allocates memory pages at their first use
         self._state = ctypes.create_string_buffer(found.socket_batch_inbox_size())
         self.shown = Shown.from_buffer(self._state)
         self._at = ctypes.addressof(self._state)
@@ -96,7 +96,7 @@ class CompiledInbox:
             found.socket_batch_send,
             found.socket_batch_close,
         )
-        self._found: int | None = None  # number of datagrams that `wait` has found; -1: there are errors, too
+        self._found: int | None = None  # number of datagrams that `wait` has received; negative: errors as well
         slots = ctypes.addressof(ctypes.c_char.from_buffer(self._slots))
         numbers = (c_int32 * len(sockets))(*[each.fileno() for each in sockets])
         found.socket_batch_open(self._at, slots, numbers, len(sockets), shares)
@@ -110,12 +110,12 @@ class CompiledInbox:
         return error
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
-        wait, taken, patience = self._wait, self._found is None, _microseconds(gather) if gather else 0
-        self._found = wait(self._at, expected, taken, _microseconds(seconds), patience)
+        wait, taken, gathering = self._wait, self._found is None, _microseconds(gather) if gather else 0
+        self._found = wait(self._at, expected, taken, _microseconds(seconds), gathering)
 
     def receive(self) -> list[bytes]:
         found, self._found = self._found, None
-        if found is None:  # `wait` has already received otherwise
+        if found is None:  # `wait` was not called, so no datagram was received yet
             found = self._receive(self._at)
         if found < 0:
             self._report()
@@ -134,19 +134,19 @@ class CompiledInbox:
         self._found = None
 
     def _report(self) -> None:
-        """Report the errors of receiving."""
+        """Report the errors that occurred while datagrams were received."""
         errors, self.shown.errors = self.shown.errors, 0
         for number in self.shown.error[:errors]:
             self._trouble(number)
 
 
 def _microseconds(seconds: float) -> int:
-    """Convert a duration: rounded up, at most _LONGEST; NaN is 0."""
+    """Convert seconds to microseconds: rounded up, at most _LONGEST seconds. NaN becomes 0."""
     return int(seconds * 1e6) + 1 if 0.0 < seconds < _LONGEST else int(_LONGEST * 1e6) if seconds > 0.0 else 0
 
 
 def as_written(address: Address) -> bytes:
-    """Return an address as struct sockaddr_in or sockaddr_in6. Raises OSError if it is invalid."""
+    """Return an address as struct sockaddr_in or sockaddr_in6. Raises OSError for an invalid address."""
     host, port = address[:2]
     if len(address) == 2:
         return struct.pack("=H", socket.AF_INET) + struct.pack("!H4s8x", port, socket.inet_pton(socket.AF_INET, host))

@@ -1,4 +1,4 @@
-"""Transport of datagrams from robot to robot: the interface, and the limits that all transports have."""
+"""Transport of datagrams between robots: the interface, and limits that hold for all transports."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ from typing import Protocol
 
 from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS
 
-MOST_AT_ONCE = 1024  # largest number of datagrams of one call, so that a flood does not stop the control loop
-LARGEST = LIMIT + 1  # bytes read of a datagram; a length above LIMIT shows that it was too long
+MOST_AT_ONCE = 1024  # largest number of datagrams that a call receives, so that a flood cannot stop the control loop
+LARGEST = LIMIT + 1  # number of bytes read of a datagram; a length above LIMIT means that the datagram is too long
 IN_TURN = 64  # largest number of datagrams received from one socket before the other sockets are served
-MOST_ECHOES = 16  # own datagrams remembered until the group returns their copies; more than one round sends
+MOST_ECHOES = 16  # number of own group datagrams to remember until their copies return; a round sends fewer
 GROUP = MAX_ROBOTS  # index of the group's address; lower indices are pids of robots
-Address = tuple[str, int] | tuple[str, int, int, int]  # IPv4 or IPv6, in the form of Python's sockets
+Address = tuple[str, int] | tuple[str, int, int, int]  # IPv4 or IPv6 address, as Python's sockets represent it
 
 
 class Transport(Protocol):
-    """Unreliable datagrams between pids. Only `wait` blocks; no call raises, before or after `close`.
+    """Interface of a transport: unreliable datagrams between pids.
 
-    The transport does not check the sender of a datagram: its MAC authenticates it."""
+    Only `wait` blocks. No call raises, before or after `close`. A transport does not check who sent a datagram; the
+    datagram's MAC authenticates the sender."""
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
-        """Send to the robots named. A datagram to several may reach all others too, but never the sender."""
+        """Send a datagram to robots `to`. If they are several, all other robots may receive it as well."""
         ...
 
     def receive(self) -> Sequence[bytes]:
-        """Return the datagrams received since the last call, roughly in order of arrival.
+        """Return the datagrams received since the last call, roughly in the order of arrival.
 
-        At most MOST_AT_ONCE datagrams of at most LARGEST bytes."""
+        Returns at most MOST_AT_ONCE datagrams, each cut to at most LARGEST bytes."""
         ...
 
     def wait(self, seconds: float, expected: int = 1, gather: float = 0.0) -> None:
@@ -40,11 +41,11 @@ class Transport(Protocol):
 
     @property
     def troubles(self) -> dict[str, int]:
-        """Numbers of failures by reason."""
+        """Reason -> number of failures to send or receive."""
         ...
 
     def close(self) -> None: ...
 
 
 class CannotOpen(Exception):
-    """A socket cannot be opened, or a peer has no address. The message names the robot and the address."""
+    """Raised if a socket cannot be opened or a peer has no address. The message names robot and address."""

@@ -1,4 +1,4 @@
-"""UDP transports: unicast to the peers of the settings, and groups (multicast, broadcast)."""
+"""UDP transports: unicast to the peers in the settings, and groups (multicast or broadcast)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RECEIVE_BUFFER = 1 << 20
 
 
 class UnicastTransport:
-    """Transport with one socket, on the robot's own address. Raises CannotOpen."""
+    """Unicast transport with one socket on the robot's own address. Raises CannotOpen."""
 
     def __init__(
         self,
@@ -29,12 +29,12 @@ class UnicastTransport:
     ) -> None:
         own = peers[pid]
         family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
-        self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # by place
+        self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # pid -> address
         self.troubles: dict[str, int] = {}
         hosts = [address[0] for address in self._addresses.values()]
         self._shares = hosts.count(hosts[pid]) > 1  # other robots share this computer
         self._sockets: list[socket.socket] = []
-        self._own = self._listen(family, address, f"{bind or own.host}:{own.port}, where robot {own.name} listens")
+        self._own = self._listen(family, address, f"{bind or own.host}:{own.port}, the address of robot {own.name}")
         self._open_inbox()
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
@@ -42,21 +42,25 @@ class UnicastTransport:
             if error := self._inbox.send(pid, datagram):
                 self._count("send", error)
         if self._shares and len(to) > 1:
-            os.sched_yield()  # as after a send to a group, see Inbox.send
+            os.sched_yield()  # other robots on this core also have to send
 
     def close(self) -> None:
         self._inbox.close()
         self._close_sockets()
 
     def _open_inbox(self) -> None:
-        """Open one inbox for all sockets. It sends from the first one, the robot's own."""
+        """Open one inbox for all sockets. It sends from the first socket, which has the robot's address."""
         self._inbox = open_inbox(self._sockets, self._received_badly, self._shares)
         for place, address in self._addresses.items():
             self._inbox.address(place, address)
         self.wait, self.receive = self._inbox.wait, self._inbox.receive
 
     def _listen(self, family: socket.AddressFamily, address: Address, what: str, shared: bool = False) -> socket.socket:
-        """Open a socket for the inbox; `shared`: other robots of this host listen on the same address."""
+        """Open a socket for the inbox, bound to `address`.
+
+        what: description of the address, for messages.
+        shared: other robots on this computer listen on the same address.
+        """
         opened = socket.socket(family, socket.SOCK_DGRAM)
         try:
             opened.setblocking(False)
@@ -85,11 +89,11 @@ class UnicastTransport:
 
 
 class GroupTransport(UnicastTransport):
-    """Transport that sends a datagram to several robots once, to a multicast group or a broadcast address.
+    """Transport that sends one datagram for several robots to a multicast group or a broadcast address.
 
-    The port of the group is shared by all robots. A multicast datagram does not leave the local network. A datagram to
-    one robot is sent to it alone. Robots of one host receive each other's datagrams, too; a robot's own datagrams,
-    which come back, are dropped. IPv4 only. Raises CannotOpen."""
+    All robots use the same group port. A multicast datagram does not leave the local network. A datagram to one robot
+    is sent by unicast. Robots on one computer also receive each other's datagrams. Copies of a robot's own datagrams
+    come back and are dropped. IPv4 only. Raises CannotOpen."""
 
     def __init__(self, peers: Sequence[Peer], pid: int, bind: str, network: Network) -> None:
         multicast = network.transport == "multicast"
@@ -118,7 +122,7 @@ class GroupTransport(UnicastTransport):
             self._count("send", error)
 
     def _join(self, group: socket.socket, interface: str) -> None:
-        """Send and receive on one interface, given by address or name. Raises OSError."""
+        """Send and receive on one network interface, given by its address or name. Raises OSError."""
         try:
             address, index = IPv4Address(interface), 0
         except AddressValueError:
@@ -140,30 +144,30 @@ def _check_group(network: Network, place: str) -> None:
     except AddressValueError:
         raise CannotOpen(f"{place}: not an IPv4 address") from None
     if network.transport == "multicast" and not address.is_multicast:
-        raise CannotOpen(f"{place}: not a multicast address, which are 224.0.0.0 to 239.255.255.255")
+        raise CannotOpen(f"{place}: not a multicast address; multicast addresses are 224.0.0.0 to 239.255.255.255")
     if network.transport == "broadcast" and address.is_multicast:
-        raise CannotOpen(f"{place}: a multicast address: set `transport` to multicast")
+        raise CannotOpen(f"{place}: this is a multicast address; set `transport` to multicast")
     if not 1 <= network.port <= 65535:
-        raise CannotOpen(f"{place}: not a port, which are 1 to 65535")
+        raise CannotOpen(f"{place}: {network.port} is not a port; ports are 1 to 65535")
 
 
 def _reason(error: OSError, shared: bool) -> str:
-    """Return why a socket could not be bound, and how to fix it."""
+    """Return the reason why a socket could not be bound, and how to fix it."""
     if error.errno == errno.EADDRINUSE:
         if shared:
-            return ", is in use by something else: set another `port` for all robots"
-        return ", is in use: does the robot's program run already?"
+            return ": another program uses the port; set another `port` for all robots"
+        return ": the address is in use; check whether the robot's program is already running"
     if error.errno == errno.EADDRNOTAVAIL:
         if shared:
-            return ", is no broadcast address of a network of this host: `ip address` lists them behind `brd`"
-        return ", is no address of this host: set `bind` in its settings"
+            return ": not a broadcast address of this computer; `ip address` lists broadcast addresses behind `brd`"
+        return ": not an address of this computer; set `bind` in the robot's settings"
     return f": {error.strerror or error}"
 
 
 def _resolve(peer: Peer, family: socket.AddressFamily) -> tuple[socket.AddressFamily, Address]:
-    """Look up a peer's address once, so later failures of a name server have no effect."""
+    """Look up the address of a peer, only once, so that later failures of a name server have no effect."""
     if not 1 <= peer.port <= 65535:
-        raise CannotOpen(f"robot {peer.name}: {peer.host}:{peer.port} is no address: ports are 1 to 65535")
+        raise CannotOpen(f"robot {peer.name}: {peer.host}:{peer.port} is no address; ports are 1 to 65535")
     try:
         found = socket.getaddrinfo(peer.host, peer.port, family=family, type=socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:

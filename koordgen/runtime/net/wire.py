@@ -1,7 +1,7 @@
 """Wire format: the messages of the shared memory as typed structs. `codec` encodes them as datagrams.
 
-Times are microseconds, `sent` and `received` on the clock of the robot that recorded them. Only types and ranges are
-checked here; `link` and the room `replication` check the rest."""
+Times are microseconds. A time `sent` or `received` is on the clock of the robot that recorded it. Decoding checks types
+and ranges; `link` and the package `replication` check the meaning."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import msgspec
 from koordgen.runtime.net.seal import MAC_SIZE
 
 WIRE_FORMAT = 4  # raised whenever the meaning of a datagram changes; part of every interface hash
-LIMIT = 1200  # bytes of a sealed datagram: what every path carries without IP fragments
+LIMIT = 1200  # largest size of a sealed datagram in bytes, so that no network splits it into IP fragments
 MOST_PAYLOAD = LIMIT - MAC_SIZE
 MAX_ROBOTS = 128
 MAX_ECHOES = 8
@@ -21,26 +21,34 @@ MOST_FRAGMENTS = 256  # largest number of fragments of one entry or snapshot
 
 TOP = 2**53
 Token = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
-MaybeToken = Annotated[bytes, msgspec.Meta(max_length=8)]  # empty: not known yet
-Release = Annotated[bytes, msgspec.Meta(max_length=RELEASE_SIZE)]  # empty: a bundle built without a fleet
+MaybeToken = Annotated[bytes, msgspec.Meta(max_length=8)]  # empty: the token is not known yet
+Release = Annotated[bytes, msgspec.Meta(max_length=RELEASE_SIZE)]  # empty: the bundle was built without a fleet file
 Natural = Annotated[int, msgspec.Meta(ge=0, le=TOP)]
-MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=TOP)]  # -1: none
+MaybeNatural = Annotated[int, msgspec.Meta(ge=-1, le=TOP)]  # -1: no number
 Shift = Annotated[int, msgspec.Meta(ge=-TOP, le=TOP)]
 Pid = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round number: enough for a year of rounds of 10 ms
 MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 PerRobot = Annotated[tuple[Short, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Incarnations = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
-Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]  # bit i of byte i // 8: fragment i is held
+# Bit i % 8 of byte i // 8 is 1 if fragment i was received.
+Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]
 Data = Annotated[bytes, msgspec.Meta(max_length=LIMIT)]
 
 
 class Wired(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """Base of all messages: immutable (so never self-referential), encoded as an array, no extra fields."""
+    """Base of all messages: immutable, encoded as an array, without unknown fields.
+
+    An immutable struct cannot contain itself, so the garbage collector need not track it (gc=False).
+    """
 
 
 class Echo(Wired, frozen=True):
-    """Echo of the newest datagram from `pid`: its stamp, and its arrival on the echoing robot's clock."""
+    """Echo of the newest datagram from robot `pid`.
+
+    sent: time stamp of that datagram, on the clock of robot `pid`.
+    received: arrival time of that datagram, on the clock of the robot that sends the echo.
+    """
 
     pid: Pid
     sent: Natural
@@ -51,10 +59,11 @@ class Head(Wired, frozen=True):
     """Head of every datagram.
 
     boot: random id of the sender's process.
-    sequence: number of the datagram, which increases within a boot.
-    epoch: id of the mission; empty until the sender holds all robots' init results.
+    sequence: number of the datagram; it increases within a boot.
+    epoch: id of the mission; empty until the sender holds the `init` results of all robots.
+    sent: time at which the datagram was sent, on the sender's clock.
     fleet: fleet time minus the sender's clock; None if unknown.
-    echoes: echoes of the peers' datagrams, included as often as the fleet clocks need them.
+    echoes: echoes of the peers' datagrams, sent as often as the fleet clocks need them.
     """
 
     application: Natural
@@ -70,10 +79,12 @@ class Head(Wired, frozen=True):
 
 
 class Write(Wired, frozen=True):
-    """New value of a shared variable; of an allread variable, the author's slot.
+    """Write of a shared variable: its new value.
 
-    `index` counts the program's shared variables. `patch`: `value` is what changed of the value's encoding since the
-    beginning of the round (see module `patch`).
+    For an allread variable, the new value is that of the author's slot.
+
+    index: place of the variable among the program's shared variables.
+    patch: `value` is not the encoded value but a patch to the value at the beginning of the round (module `patch`).
     """
 
     index: Annotated[int, msgspec.Meta(ge=0, lt=65536)]
@@ -84,11 +95,14 @@ class Write(Wired, frozen=True):
 class Entry(Wired, frozen=True):
     """Log entry: `author` has ended the rounds `first` to `round`.
 
-    With writes or `acted` these are one round; else the author did nothing in any of them, so the silence of a long
-    outage is one entry. Round 0 is the result of `init`. `incarnation`: that of the author when it wrote the entry (see
-    View). `stopped`: the author had stopped in all of the rounds. `acted`: an event of the author ended.
-    `awaits_commit`: the author waits for reports that this round was applied. `lock`: the lock of an atomic event, of
-    which one counts in each round; -1 for all others.
+    An entry with writes, `acted` or a lock covers exactly one round. A silent entry may cover many rounds, so a long
+    outage is one entry. The entry of round 0 contains the result of `init`.
+
+    incarnation: incarnation of the author when it wrote the entry (see View).
+    stopped: the author had stopped in all of these rounds.
+    acted: an event of the author ended in the round.
+    awaits_commit: the author waits for reports that the round was applied.
+    lock: lock of a transaction, of which one counts in each round; -1 without a transaction.
     """
 
     author: Pid
@@ -103,10 +117,10 @@ class Entry(Wired, frozen=True):
 
 
 class View(Wired, frozen=True):
-    """Members from round `since` on.
+    """View number `number`: the members of the fleet from round `since` on.
 
-    `members[p]` is robot p's incarnation, which is the number of the view that admitted it last, or -1 if it is no
-    member.
+    `members[p]` is the incarnation of robot p: the number of the view that admitted the robot last. It is -1 if robot p
+    is no member.
     """
 
     number: Natural
@@ -117,9 +131,11 @@ class View(Wired, frozen=True):
 class Hello(Wired, frozen=True, tag=0):
     """Joining message from one robot to another.
 
-    A boot counts as live only if `answer` repeats the `challenge` that the receiver has issued for it; each challenge
-    is used once. `holds`: robots whose init result the sender holds. `release` names the bundles that were built
-    together (see RELEASE in a bundle): a robot accepts only those of its own release."""
+    challenge: random token of the sender, which the receiver must repeat. Each token is used once.
+    answer: last challenge that the receiver of this Hello has sent. A boot counts as live only if its answer is right.
+    holds: robots whose `init` result the sender holds.
+    init: round-0 entry of the sender; None if the sender's process has not run `init`.
+    release: digest of the bundles that were built together. A robot accepts only messages of its own release."""
 
     head: Head
     to: Pid
@@ -127,16 +143,20 @@ class Hello(Wired, frozen=True, tag=0):
     answer: MaybeToken
     holds: Annotated[tuple[Pid, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
     init: Entry | None
-    start: Natural | None  # of round 1, in fleet time
+    start: Natural | None  # start of round 1 in fleet time
     release: Release = b""
 
 
 class RoundMessage(Wired, frozen=True, tag=1):
     """Progress report and log entries.
 
-    The sender is in `round` and uses view number `view`. It has applied all rounds up to `applied`, and holds robot p's
-    entries up to `held[p]`; an empty `held` means `applied` for all, as in most rounds. All members hold everything up
-    to `settled`. `emergency`: the sender knows of an emergency stop. `entries` may be of any robot."""
+    view: number of the sender's view.
+    round: the sender's present round.
+    applied: last round that the sender has applied.
+    settled: last round up to which all members hold all entries.
+    emergency: the sender knows of an emergency stop.
+    held: `held[p]` is the last round up to which the sender holds robot p's entries; empty: `applied` for all robots.
+    entries: log entries of any robots."""
 
     head: Head
     view: Natural
@@ -149,7 +169,10 @@ class RoundMessage(Wired, frozen=True, tag=1):
 
 
 class HeldFragments(Wired, frozen=True):
-    """Fragments of a robot's next entry that the sender holds."""
+    """Report of the fragments of one entry that the sender of the report has received.
+
+    `author`, `round` and `digest` identify the entry. Bit i % 8 of byte i // 8 of `mask` is 1 if fragment i was
+    received."""
 
     author: Pid
     round: Natural
@@ -158,9 +181,9 @@ class HeldFragments(Wired, frozen=True):
 
 
 class Nack(Wired, frozen=True, tag=2):
-    """Progress report as in RoundMessage, and a request.
+    """Progress report as in RoundMessage, and a request for missing entries.
 
-    The receiver shall send what the sender lacks up to round `through`, and its own progress report.
+    The receiver is asked to send the entries up to round `through` that the sender lacks, and its own progress report.
     """
 
     head: Head
@@ -172,7 +195,7 @@ class Nack(Wired, frozen=True, tag=2):
 
 
 class Fragment(Wired, frozen=True, tag=3):
-    """Fragment of an encoded entry that is longer than a datagram.
+    """Fragment number `index` of `count` of an encoded entry that is longer than a datagram.
 
     `digest` is the digest of the whole encoded entry."""
 
@@ -187,7 +210,7 @@ class Fragment(Wired, frozen=True, tag=3):
 
 
 class Prepare(Wired, frozen=True, tag=4):
-    """Ballot `ballot` for the successor of `view`, which is decided, begins.
+    """Request to promise for ballot `ballot` on the successor of `view`. `view` is decided.
 
     A robot that promises votes in no lower ballot, and applies no round until the successor is decided.
     """
@@ -198,12 +221,13 @@ class Prepare(Wired, frozen=True, tag=4):
 
 
 class Promise(Wired, frozen=True, tag=5):
-    """Answer to Prepare.
+    """Promise of an acceptor, the answer to Prepare.
 
+    number: number of the view that the promise is for.
     view: number of the sender's latest view.
-    applied: last round that it has reported as applied in that view.
-    has_store: it still has the store of that round.
-    accepted: view that it has voted for, in ballot `voted`; None without a vote.
+    applied: last round that the sender has reported as applied in view `view`.
+    has_store: the sender still has the store of round `applied`.
+    accepted: view that the sender has voted for in ballot `voted`; None without a vote.
     """
 
     head: Head
@@ -217,7 +241,7 @@ class Promise(Wired, frozen=True, tag=5):
 
 
 class Accept(Wired, frozen=True, tag=6):
-    """Request to vote for a view."""
+    """Request to vote for view `value` in ballot `ballot`."""
 
     head: Head
     ballot: Natural
@@ -225,7 +249,7 @@ class Accept(Wired, frozen=True, tag=6):
 
 
 class Accepted(Wired, frozen=True, tag=7):
-    """The sender has voted for the value of that ballot."""
+    """Vote of an acceptor, the answer to Accept: for view number `number` as proposed in ballot `ballot`."""
 
     head: Head
     number: Natural
@@ -233,7 +257,7 @@ class Accepted(Wired, frozen=True, tag=7):
 
 
 class Decided(Wired, frozen=True, tag=8):
-    """Announcement of a decided view: a majority has voted for it."""
+    """Announcement that view `value` is decided, because a majority has voted for it."""
 
     head: Head
     value: View
@@ -242,8 +266,9 @@ class Decided(Wired, frozen=True, tag=8):
 class RejoinRequest(Wired, frozen=True, tag=9):
     """Request of a robot that is no member or has no store.
 
-    With `incarnation` -1 it asks to be admitted. Otherwise a view has admitted it with that incarnation, and it asks
-    for the Snapshot; it already holds the fragments in `mask` of the snapshot after `round` with this `digest`."""
+    With `incarnation` -1, the robot asks to be admitted. Otherwise a view has admitted the robot with `incarnation`,
+    and the robot asks for fragments of a Snapshot. It already has the fragments in `mask` of the snapshot after round
+    `round` with digest `digest`."""
 
     head: Head
     view: Natural
@@ -254,7 +279,9 @@ class RejoinRequest(Wired, frozen=True, tag=9):
 
 
 class SnapshotFragment(Wired, frozen=True, tag=10):
-    """Fragment number `index` of `count` of an encoded Snapshot. `digest` is the digest of the whole."""
+    """Fragment number `index` of `count` of an encoded Snapshot.
+
+    `digest` is the digest of the whole encoded snapshot."""
 
     head: Head
     round: Natural
@@ -267,8 +294,9 @@ class SnapshotFragment(Wired, frozen=True, tag=10):
 class Snapshot(Wired, frozen=True):
     """Shared store after round `applied`, for a robot that rejoins.
 
-    `values[i]` is variable i's value, an allread variable's as the array of its slots. `stopped[p]`: the round in which
-    robot p stopped, or -1. `acted[p]`: the last round in which an event of robot p counted.
+    values: `values[i]` is the encoded value of variable i; for an allread variable, the array of its slots.
+    stopped: `stopped[p]` is the round in which robot p stopped, or -1.
+    acted: `acted[p]` is the last round in which an event of robot p counted.
     """
 
     view: View

@@ -1,6 +1,6 @@
-"""Zenoh transport, for networks of several hops: robots in router mode forward datagrams of others.
+"""Zenoh transport for networks of several hops: robots in router mode forward others' datagrams.
 
-The only module that needs the package eclipse-zenoh."""
+Only this module needs the package eclipse-zenoh."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.transport import MOST_AT_ONCE, CannotOpen
 from koordgen.runtime.net.wire import LIMIT
 
-MOST_WAITING = 4096  # received datagrams that may wait to be read; further ones are dropped, as by a socket's buffer
+MOST_WAITING = 4096  # largest number of received datagrams that wait for `receive`; further datagrams are dropped
 QUEUE = 16  # largest number of datagrams to one peer that wait for the network
-NAP = 20e-6  # seconds of sleep for each missing datagram
-WAIT_BEFORE_DROP = 100  # microseconds that a send to a full queue may take
+NAP = 20e-6  # seconds of sleep for each datagram that is still missing
+WAIT_BEFORE_DROP = 100  # microseconds that a send waits for room in a full queue before it drops the datagram
 
 
 class ZenohTransport:
-    """Transport with one topic for all robots and one for each pid, below `koordgen/APPLICATION_ID`.
+    """Zenoh transport: one topic for all robots and one for each pid, below `koordgen/APPLICATION_ID`.
 
-    Neither scouting nor gossip: only the endpoints of the settings are used. Datagrams arrive on a thread of Zenoh.
-    Raises CannotOpen."""
+    It connects only to the endpoints in the settings, without scouting or gossip. Datagrams arrive on a thread of
+    Zenoh. Raises CannotOpen."""
 
     def __init__(self, settings: Settings) -> None:
         self._troubles: dict[str, int] = {}
@@ -41,7 +41,7 @@ class ZenohTransport:
         self._all = self._publisher(f"{topic}/all")
         self._each = [self._publisher(f"{topic}/{pid}") for pid in range(len(settings.peers))]
         for name in ("all", settings.pid):
-            self._session.declare_subscriber(f"{topic}/{name}", self._take, allowed_origin=zenoh.Locality.REMOTE)
+            self._session.declare_subscriber(f"{topic}/{name}", self._queue, allowed_origin=zenoh.Locality.REMOTE)
 
     def send(self, to: Sequence[int], datagram: bytes) -> None:
         if to:
@@ -69,7 +69,7 @@ class ZenohTransport:
 
     @property
     def troubles(self) -> dict[str, int]:
-        return self._troubles.copy()  # a copy, for Zenoh's thread also counts
+        return self._troubles.copy()  # a copy, because Zenoh's thread changes the original
 
     def close(self) -> None:
         self._session.close()  # type: ignore[no-untyped-call]
@@ -80,15 +80,15 @@ class ZenohTransport:
             congestion_control=zenoh.CongestionControl.DROP,
             reliability=zenoh.Reliability.BEST_EFFORT,
             priority=zenoh.Priority.REAL_TIME,
-            express=True,  # sent at once, without batching
+            express=True,  # send each datagram at once, without batching
             allowed_destination=zenoh.Locality.REMOTE,
         ).put
 
-    def _take(self, sample: zenoh.Sample) -> None:
-        """Receive a datagram, on Zenoh's thread."""
+    def _queue(self, sample: zenoh.Sample) -> None:
+        """Queue a received datagram for `receive`. Zenoh calls this method on a thread of its own."""
         if len(self._arrived) >= MOST_WAITING:
             self._count("receive: overflow")
-        elif len(sample.payload) > LIMIT:  # not even copied
+        elif len(sample.payload) > LIMIT:  # a datagram that is too long is not copied
             self._count("receive: too long")
         else:
             self._arrived.append(sample.payload.to_bytes())
@@ -110,7 +110,7 @@ def _config(settings: Settings) -> zenoh.Config:
         "listen/endpoints": own if network.listen is None else network.listen,
         "listen/exit_on_failure": True,
         "connect/endpoints": places[:pid] if network.connect is None else network.connect,
-        # A peer retries missing peers in the background; a client needs its router at once.
+        # A peer connects to missing peers in the background. A client fails if it cannot reach its router at once.
         "connect/timeout_ms": 0 if network.mode == "client" else -1,
         "connect/exit_on_failure": network.mode == "client",
         "connect/retry": {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2},

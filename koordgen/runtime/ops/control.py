@@ -22,24 +22,24 @@ from koordgen.runtime.ops.orders import (
     Offer,
     Order,
     StatusPart,
-    Stop,
-    Stopped,
+    StopAnswer,
+    StopOrder,
     decode,
     encode,
 )
 
-MOST_AT_ONCE = 256  # largest number of datagrams handled in one poll, so that a flood costs at most about 1 ms
-LINGER = 1.0  # seconds after a stop command for which its sender may still wait for the answer
+MOST_AT_ONCE = 256  # largest number of datagrams handled in one poll: a flood of datagrams costs about 1 ms a poll
+LINGER = 1.0  # seconds after a stop command in which the command's sender may still wait for the answer
 MOST_ASKERS = 4  # largest number of status requests that are answered at the same time
 
 Report = Callable[[], Mapping[str, Any]]
 
 
 class Datagrams(Protocol):
-    """Socket that never blocks and never raises."""
+    """Socket for datagrams whose methods never block and never raise an exception."""
 
     def receive(self) -> tuple[bytes, Any] | None:
-        """Return the next datagram and its sender's address."""
+        """Return the next datagram and the address of its sender, or None if no datagram has arrived."""
         ...
 
     def send(self, datagram: bytes, address: Any) -> None: ...
@@ -60,11 +60,11 @@ class ControlSocket:
             self._socket.close()
             raise CannotOpen(
                 f"{address[0]}:{address[1]}, the control port of robot {settings.robot}: {error.strerror or error}; "
-                "set another `control` port for it, in the fleet file or in its settings"
+                "set another `control` port for this robot, in the fleet file or in the robot's settings"
             ) from None
 
     def receive(self) -> tuple[bytes, Any] | None:
-        for _ in range(2):  # after an error, which belongs to an earlier answer (ECONNREFUSED), try once more
+        for _ in range(2):  # the first try may raise the error of an earlier answer (ECONNREFUSED)
             try:
                 return self._socket.recvfrom(LONG + 1)
             except BlockingIOError:
@@ -82,12 +82,12 @@ class ControlSocket:
 
 
 class Control:
-    """Handler of control commands. Call `poll` in every turn of the agent's loop.
+    """Handler of the requests that arrive on the control port. The agent's loop calls `poll` in every turn.
 
     secret: 32 random bytes, new for every start of the process.
-    rejected: number of refused datagrams by reason.
-    No datagram has an effect before its MAC was verified. Each authentic request is answered at most once, by a
-    datagram that is not longer, so an attacker cannot use the agent to amplify a flood."""
+    rejected: reason -> number of refused datagrams.
+    A datagram has no effect before its MAC is verified. Each authentic request is answered by at most one datagram,
+    which is not longer than the request, so an attacker cannot use the agent to amplify a flood."""
 
     def __init__(self, sockets: Datagrams, settings: Settings, key: bytes | None, secret: bytes) -> None:
         self.rejected: dict[str, int] = {}
@@ -98,7 +98,7 @@ class Control:
         self._key = key
         self._secret = secret
         self._stopped_at: float | None = None
-        self._status: dict[bytes, bytes] = {}  # nonce -> status for the newest requests
+        self._status: dict[bytes, bytes] = {}  # nonce of a request -> status report; only the newest requests
 
     @staticmethod
     def open(settings: Settings, key: bytes | None) -> Control:
@@ -106,11 +106,12 @@ class Control:
         return Control(ControlSocket(settings), settings, key, os.urandom(32))
 
     def poll(self, now: float, phase: str, report: Report) -> bool:
-        """Handle at most MOST_AT_ONCE datagrams at local time `now`. Return whether a stop was ever commanded.
+        """Handle at most MOST_AT_ONCE datagrams. Return whether a stop was commanded in this call or an earlier one.
 
+        now: local time in seconds.
         phase: phase of the agent.
-        report: creates the agent's status report; it is called at most once.
-        Never blocks, never raises."""
+        report: creates the agent's status report. It is called at most once.
+        This method never blocks and never raises."""
         reported = False
         for _ in range(MOST_AT_ONCE):
             arrived = self._sockets.receive()
@@ -125,7 +126,7 @@ class Control:
                     answer = "another application"
                 case Ask(_, nonce):
                     answer = Offer(nonce, self._pid, self._challenge(now), self._robot)
-                case Stop(nonce, challenge):
+                case StopOrder(nonce, challenge):
                     answer = self._stop(nonce, challenge, phase, now)
                 case AskStatus(_, _, challenge, _) if flaw := self._flaw(challenge, now):
                     answer = flaw
@@ -142,7 +143,7 @@ class Control:
         return self._stopped_at is not None
 
     def lingers(self, now: float) -> bool:
-        """Return whether the sender of a stop may still wait for its answer. Then the process must not end."""
+        """Return whether the sender of a stop command may still wait for an answer. The process must not end then."""
         return self._stopped_at is not None and now - self._stopped_at < LINGER
 
     def close(self) -> None:
@@ -155,26 +156,26 @@ class Control:
         return issued + blake2s(issued, digest_size=16, key=self._secret).digest()
 
     def _flaw(self, challenge: bytes, now: float) -> str:
-        """Return why a challenge is refused; "" if this process issued it recently."""
+        """Return the reason to refuse a challenge; "" if this process issued the challenge recently."""
         if not compare_digest(self._signed(challenge[:8]), challenge):
             return "not our challenge"
         if now - int.from_bytes(challenge[:8], "big") / 1e6 > CHALLENGE_LIFE:
             return "an old challenge"
         return ""
 
-    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> Stopped | str:
-        """Handle a stop command. Only the first one has an effect; repeated commands are just answered."""
+    def _stop(self, nonce: bytes, challenge: bytes, phase: str, now: float) -> StopAnswer | str:
+        """Handle a stop command and return the answer. Only the first stop command has an effect."""
         if flaw := self._flaw(challenge, now):
             return flaw
         if self._stopped_at is None:
             self._stopped_at = now
-        return Stopped(nonce, self._pid, phase if phase in ("resting", "rested") else "resting")
+        return StopAnswer(nonce, self._pid, phase if phase in ("stopping", "stopped") else "stopping")
 
     def _part(self, nonce: bytes, part: int, report: Report) -> StatusPart | str:
         if nonce not in self._status:
             try:
                 self._status[nonce] = json.dumps(report()).encode()
-            except Exception:  # a request must not crash the robot
+            except Exception:  # an error in the status report must not end the agent
                 return "no report can be made"
             if len(self._status) > MOST_ASKERS:
                 del self._status[next(iter(self._status))]

@@ -1,4 +1,4 @@
-"""`--doctor` and `--check`: checks of a robot before a mission, from files to vehicle, without motion."""
+"""Checks of a robot before a mission (`--doctor`, `--check`), from its files to its vehicle, without motion."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.host import Clocks, disk, host
-from koordgen.runtime.ops.opening import open_key, open_settings, open_transport
+from koordgen.runtime.ops.set_up import open_key, open_settings, open_transport
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.trace.parts import MEGABYTE, size_of
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
 
-MANY_MESSAGES = 1000  # messages a second from which on the shared memory's modules should be compiled
-LOOKUP = 3.0  # seconds within which all host names must be found
+MANY_MESSAGES = 1000  # from this number of messages a second on, the modules of the shared memory should be compiled
+LOOKUP = 3.0  # seconds within which the addresses of all hosts must be found
 
 PlatformType = Callable[[Settings, bytes | None], Platform]
 
@@ -34,10 +34,10 @@ PlatformType = Callable[[Settings, bytes | None], Platform]
 def examine(
     program: Program, root: Path, overrides: Path | None, pid: int | None, platform_type: PlatformType, drivers: Drivers
 ) -> Generator[Finding, None, None]:
-    """Yield the result of each check as soon as it is made.
+    """Run all checks of a robot, and yield each result immediately.
 
-    After a failed check, checks that depend on it are left out. To end early, close the iterator, which frees its
-    resources."""
+    Checks that depend on a failed check are left out. Close the generator to end the checks early and to free the
+    resources that they use."""
     clocks = Clocks()
     yield from host(root)
     try:
@@ -65,19 +65,19 @@ def examine(
 
 
 def _trace(path: Path, limit: float | None) -> Finding:
-    """Check that the trace reaches its limit before the disk is full."""
+    """Check that the disk has room for the whole trace: it must not become full before the trace reaches its limit."""
     try:
         free, used = shutil.disk_usage(path.parent).free / MEGABYTE, size_of(path) / MEGABYTE
     except OSError as error:
-        return Finding("trace", "fail", f"{path.parent}: {error.strerror}", why="the robot writes its trace there")
-    told = f"{free:.0f} MB free in {path.parent}"
+        return Finding("trace", "fail", f"{path.parent}: {error.strerror}", why="the robot writes its trace to it")
+    detail = f"{free:.0f} MB free in {path.parent}"
     if limit is None:
-        return Finding("trace", "warn", f"{told}, no limit", why="the trace will fill the disk: set `trace_limit`")
-    told += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
+        return Finding("trace", "warn", f"{detail}, no limit", why="the trace will fill the disk: set `trace_limit`")
+    detail += f", the trace takes {used:.0f} of at most {limit:.0f} MB"
     if free < limit - used:
         why = "the disk will be full before the trace reaches its limit: free disk space, or set a lower `trace_limit`"
-        return Finding("trace", "warn", told, f"{limit - used:.0f} MB free", why)
-    return Finding("trace", "ok", told)
+        return Finding("trace", "warn", detail, f"{limit - used:.0f} MB free", why)
+    return Finding("trace", "ok", detail)
 
 
 def _program(program: Program, settings: Settings) -> Finding:
@@ -94,7 +94,7 @@ def _program(program: Program, settings: Settings) -> Finding:
 
 
 def _compiled() -> Finding:
-    """Compile and cache the C code of the socket I/O, so the first mission does not wait for the compiler."""
+    """Compile the C code of the socket I/O and cache it, so that the first mission does not wait for the compiler."""
     began = time.perf_counter()
     reason = inbox.accelerator()
     took = 1e3 * (time.perf_counter() - began)
@@ -105,7 +105,7 @@ def _compiled() -> Finding:
 
 
 def _protocol(settings: Settings, root: Path) -> Finding:
-    """Check whether the shared memory's modules run compiled, or need not."""
+    """Check that the modules of the shared memory run compiled, unless the fleet sends few messages."""
     messages = (len(settings.peers) - 1) / settings.delta
     if protocol.is_used():
         return Finding("protocol", "ok", "the shared memory's modules run compiled")
@@ -117,7 +117,9 @@ def _protocol(settings: Settings, root: Path) -> Finding:
 
 
 def _key(settings: Settings) -> tuple[bytes | None, Finding]:
-    """Check the key. A bad key does not prevent further checks; feeds are not authentic without it."""
+    """Load and check the fleet's key. Return None in place of a bad key, so that further checks can run without it.
+
+    Without the key, feeds are not authentic."""
     try:
         key = open_key(settings)
     except (BadKey, BadSettings) as error:
@@ -131,12 +133,12 @@ def _key(settings: Settings) -> tuple[bytes | None, Finding]:
 def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
     missing = unknown(settings.peers, LOOKUP)
     if missing:
-        hint = "is the name server there? Write IP addresses into the fleet file, or names into /etc/hosts"
+        hint = "check the name server, or write IP addresses into the fleet file, or host names into /etc/hosts"
         yield Finding("peers", "fail", f"no address for {', '.join(missing)}", why=hint)
     elif all(is_loopback(peer.host) for peer in settings.peers):
         hosts = ", ".join(sorted({peer.host for peer in settings.peers}))
         why = "agents on several computers cannot hear one another, and no other computer can stop them: write each "
-        why += "robot's own address into the fleet file, and build again. Right only where all agents run on this host"
+        why += "robot's own address into the fleet file, and build again. All agents on one host need no change"
         yield Finding(
             "peers", "warn", f"all {len(settings.peers)} robots are at {hosts}", "addresses in a network", why
         )
@@ -144,25 +146,25 @@ def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
         yield Finding("peers", "ok", f"all {len(settings.peers)} have addresses")
     own, network = settings.peers[settings.pid], settings.network
     place = settings.bind or own.host
-    if not missing:  # otherwise the same error would be reported again
-        told = f"{place}:{own.port} is free, {network.transport} {network.group}".rstrip()
+    if not missing:  # a missing address would make this check fail with an error that is already reported
+        detail = f"{place}:{own.port} is free, {network.transport} {network.group}".rstrip()
         if network.transport == "zenoh":
-            told = f"zenoh opens as {network.mode}"
-        yield _opens("port", told, lambda: open_transport(settings).close())
-    told = f"{place}:{settings.control_port} is free: emergency stop and --status"
-    yield _opens("control", told, lambda: Control.open(settings, key).close())
+            detail = f"zenoh opens as {network.mode}"
+        yield _opens("port", detail, lambda: open_transport(settings).close())
+    detail = f"{place}:{settings.control_port} is free: emergency stop and --status"
+    yield _opens("control", detail, lambda: Control.open(settings, key).close())
 
 
-def _opens(name: str, told: str, open_and_close: Callable[[], None]) -> Finding:
+def _opens(name: str, detail: str, open_and_close: Callable[[], None]) -> Finding:
     try:
         open_and_close()
     except CannotOpen as error:
         return Finding(name, "fail", str(error))
-    return Finding(name, "ok", told)
+    return Finding(name, "ok", detail)
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host name or IP address is the host's loopback, which no other computer reaches."""
+    """Return whether a host name or IP address is a loopback address, which no other computer can reach."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -170,7 +172,7 @@ def is_loopback(host: str) -> bool:
 
 
 def unknown(peers: Sequence[Peer], seconds: float) -> list[str]:
-    """Return the hosts without an address within `seconds`; all are looked up in parallel."""
+    """Return the hosts whose address is not found within `seconds`. All hosts are looked up in parallel."""
     waiting = {peer.host for peer in peers}
 
     def look_up(host: str) -> None:

@@ -1,6 +1,6 @@
-"""Checks of a robot's computer and bundle that need only Python itself.
+"""Checks of a robot's computer and bundle that need only Python's standard library.
 
-They run before any import that may fail."""
+The checks run before any import of a package that may be missing."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from pathlib import Path
 from koordgen.runtime.vehicle.platform import Finding
 
 SUMS, REQUIREMENTS, SETTINGS = "SHA256SUMS", "requirements.txt", "settings.json"
-ROOM = 100_000_000  # free bytes on the disk below which a warning is shown
-JUMP = 0.05  # seconds by which the wall clock may deviate from the monotonic clock during the checks
+ROOM = 100_000_000  # a warning is shown if the disk has fewer free bytes
+JUMP = 0.05  # largest deviation of the wall clock from the monotonic clock during the checks, in seconds
 _REQUIREMENT = re.compile(
     r"(?P<name>[A-Za-z0-9._-]+)\s*(?P<relation>==|>=)\s*(?P<version>[0-9][^\s;]*)"
     r"(?:\s*;\s*python_version\s*(?P<when>[<>]=?)\s*'(?P<python>[0-9.]+)'"
@@ -35,14 +35,14 @@ _UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
 
 
 def host(root: Path) -> list[Finding]:
-    """Check the bundle in `root` and its computer, without settings."""
-    # An older Python could not have loaded this module.
+    """Check the bundle in `root` and this computer, as far as the checks need no settings of the robot."""
+    # The check of Python's version always passes: a Python that is too old cannot load this module.
     running = Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")
     return [running, processor(), packages(root), files(root)]
 
 
 def processor() -> Finding:
-    """Check architecture and number of cores."""
+    """Check that the processor has 64 bits and at least two cores."""
     bits, cores = struct.calcsize("P") * 8, os.cpu_count() or 1
     told = f"{platform.machine()}, {bits} bits, {cores} core{'s' if cores > 1 else ''}"
     if bits != 64:
@@ -83,17 +83,17 @@ def packages(root: Path, installed: Callable[[str], str] = version) -> Finding:
 
 
 def install_requirements(root: Path) -> str:
-    """Return the command that installs the requirements of the bundle in `root`.
+    """Return the shell command that installs the requirements of the bundle in `root`.
 
-    If it needs a virtual environment, it makes one beside the bundle."""
+    If pip requires a virtual environment, the command creates one beside the bundle."""
     return pip_install(f"-r {shlex.quote(str(root / REQUIREMENTS))}", root.resolve().parent / "venv")
 
 
 def pip_install(what: str, venv: Path | None = None) -> str:
     """Return the shell command that installs `what` (arguments of `pip install`) for this Python.
 
-    On Debian and Raspberry Pi OS pip refuses to change the system's Python (PEP 668). There the command creates the
-    virtual environment `venv` (default: ~/koordgen-venv), and the text says to use its Python."""
+    On Debian and Raspberry Pi OS, pip refuses to change the system's Python (PEP 668). On these systems the command
+    creates the virtual environment `venv` (default: ~/koordgen-venv), and the text names the Python to use."""
     python = shlex.quote(sys.executable)
     if _externally_managed():
         folder = venv or Path(os.path.expanduser("~/koordgen-venv"))
@@ -109,24 +109,25 @@ def pip_install(what: str, venv: Path | None = None) -> str:
 
 
 def _externally_managed() -> bool:
-    """Return whether pip refuses to install into the running Python. Same test as pip's own."""
+    """Return whether pip refuses to install packages into the running Python, by the test that pip uses."""
     in_venv = sys.prefix != sys.base_prefix
     return not in_venv and (Path(sysconfig.get_path("stdlib")) / "EXTERNALLY-MANAGED").is_file()
 
 
 def needed(line: str) -> str:
-    """Return the package of a line of requirements; "" if its markers exclude this Python or computer.
+    """Return the name of the package in a line of requirements.txt.
 
-    Raises ValueError for a line that cannot be parsed."""
+    Return "" if the markers of the line exclude this Python or computer. Raises ValueError for a line that cannot be
+    parsed."""
     named = _understood(line)
     return named["name"] if _applies(named) else ""
 
 
 def requirement_for(line: str, python: tuple[int, int], machine: str) -> str:
-    """Return a line of requirements without its markers, as in "a==1".
+    """Return a line of requirements.txt without its markers, such as "a==1".
 
-    "" if these exclude a computer with such a Python and processor. Raises ValueError for a line that cannot be
-    parsed."""
+    Return "" if the markers exclude a computer with Python version `python` and processor `machine`. Raises ValueError
+    for a line that cannot be parsed."""
     named = _understood(line)
     applies = _applies(named, python, machine)
     return f"{named['name']}{named['relation']}{named['version']}" if applies else ""
@@ -140,7 +141,9 @@ def _understood(line: str) -> re.Match[str]:
 
 
 def _applies(named: re.Match[str], python: tuple[int, int] | None = None, machine: str | None = None) -> bool:
-    """Return whether the markers match a Python and a processor (default: those of this computer)."""
+    """Return whether the markers of a requirement match a Python version and a processor.
+
+    Default: the Python and the processor of this computer."""
     if named["when"] is None:
         return True
     if named["machine"] not in (None, machine or platform.machine()):
@@ -158,10 +161,10 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def files(root: Path) -> Finding:
-    """Check that the bundle is complete and as built.
+    """Check that the files of the bundle are complete and unchanged since the build.
 
-    Changed settings cause a warning, changed code an error: the changed code was not tested, and robots with different
-    programs refuse each other."""
+    Changed settings cause a warning. Changed code causes an error, because the changed code was not tested, and robots
+    with different programs refuse each other's messages."""
     try:
         whole = (root / SUMS).read_text(encoding="utf-8").splitlines()
         lines = [line for line in whole if not line.startswith("#")]
@@ -187,7 +190,7 @@ def _state(path: Path, digest: str) -> str:
 
 
 def temperature() -> float | None:
-    """Return the temperature of the hottest thermal zone, in degrees Celsius; None if unknown."""
+    """Return the temperature of the computer's hottest thermal zone in degrees Celsius, or None if it is unknown."""
     found = []
     for zone in Path("/sys/class/thermal").glob("thermal_zone*/temp"):
         with suppress(OSError, ValueError):
@@ -196,26 +199,27 @@ def temperature() -> float | None:
 
 
 def disk(folder: Path) -> Finding:
-    """Check that state can be stored in `folder`, which need not exist yet."""
+    """Check that the robot can store its state in `folder`. The folder may be missing yet."""
     standing = next(place for place in (folder, *folder.parents) if place.exists())
     try:
         free = shutil.disk_usage(standing).free
     except OSError as error:
-        return Finding("disk", "fail", f"{standing}: {error.strerror}", why="the robot stores its state there")
+        return Finding("disk", "fail", f"{standing}: {error.strerror}", why="the robot stores its state in this folder")
     told = f"{free / 1e6:.0f} MB free in {standing}"
     if not os.access(standing, os.W_OK | os.X_OK):
         return Finding(
-            "disk", "fail", f"{standing} cannot be written", why="the robot stores its state there: `chown` it"
+            "disk", "fail", f"{standing} cannot be written", why="the robot stores its state in this folder: `chown` it"
         )
     if free < ROOM:
-        return Finding("disk", "warn", told, f"{ROOM / 1e6:.0f} MB", "free space: a full disk ends the trace")
+        return Finding("disk", "warn", told, f"{ROOM / 1e6:.0f} MB", "free disk space: a full disk ends the trace")
     return Finding("disk", "ok", told)
 
 
 class Clocks:
-    """Comparison of the wall clock with the monotonic clock, from its creation until `finding`.
+    """Check that the wall clock does not jump between the creation of this object and the call of `finding`.
 
-    Rounds use the monotonic clock. A jump of the wall clock only disturbs comparisons with other computers."""
+    The wall clock is compared with the monotonic clock, which rounds use. A jump of the wall clock does not disturb
+    rounds. It only makes times in logs of several computers differ."""
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic, wall: Callable[[], float] = time.time) -> None:
         self._monotonic, self._wall = monotonic, wall
@@ -232,9 +236,9 @@ class Clocks:
 
 
 def ntp() -> bool | None:
-    """Return whether the kernel considers its clock synchronised (adjtimex(2) without changes).
+    """Return whether the kernel considers the system's clock synchronised, or None if this is unknown.
 
-    None if unknown."""
+    adjtimex(2) reads the state without changing the clock."""
     with suppress(OSError, AttributeError):
         state = ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512))  # struct timex has 208 bytes
         return None if state < 0 else bool(state != _UNSYNCHRONISED)

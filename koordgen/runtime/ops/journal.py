@@ -1,4 +1,4 @@
-"""Journal of a robot: log lines, trace, metrics and monitors."""
+"""Journal of a robot: writes its log lines, trace and metrics, and passes its rounds to monitors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from koordgen.runtime.ops.recent import Recent
 from koordgen.runtime.program.program import Calls, Effects, Life
 from koordgen.runtime.replication.views import describe
 from koordgen.runtime.trace.monitored import FOR_GOOD, Change
-from koordgen.runtime.trace.writer import Observe, Record, Trace
+from koordgen.runtime.trace.writer import Observe, RoundRecord, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.stall import State
 
@@ -23,8 +23,8 @@ _STALLED: dict[State, str] = {
     "goes on": "still no way after {:.0f} s",
     "ends": "the stall is over after {:.0f} s",
 }
-MOST_CHANGES, OFTEN = 6, 10.0  # largest number of log lines about one property, within so many seconds
-MOST_UNTOLD = 8  # number of waiting records of rounds at which they must be written
+MOST_CHANGES, OFTEN = 6, 10.0  # at most MOST_CHANGES log lines about one property are written within OFTEN seconds
+MOST_UNTOLD = 8  # records of rounds that may wait; then all must be written
 METRICS_EVERY = 10.0  # seconds between two metrics records in the trace
 
 T = TypeVar("T")
@@ -35,7 +35,7 @@ class Journal:
     """Journal of one robot.
 
     round: number of the present round, for log lines.
-    monitors: called with each round's record; a monitor that raises an exception is switched off.
+    monitors: functions that are called with the record of each round. A monitor that raises is switched off.
     """
 
     def __init__(
@@ -55,27 +55,27 @@ class Journal:
         self._fleet_clock = fleet_clock
         self._metrics = metrics
         self._monitors = list(monitors)
-        self._changes: dict[str, tuple[float, int]] = {}  # of properties: start of the interval, number of changes
+        self._changes: dict[str, tuple[float, int]] = {}  # property -> start of the interval, changes in it
         self._counted: Mapping[str, int] = {}
         self._faulty = ""
         self._phase = ""
-        self._said = ""
-        self._last = ""  # line
+        self._last_progress = ""
+        self._last = ""  # last log line
         self._measured = 0.0
         self.recent = Recent()
-        self.untold: list[Record] = []  # records of committed rounds
+        self.untold: list[RoundRecord] = []  # records of committed rounds that wait to be written
         self.round = 0
 
     def phase(self, phase: str, detail: str) -> None:
-        """Record a new phase of the agent. A detail that repeats the last log line is left out."""
-        self._phase, self._said = phase, ""
+        """Record a new phase of the agent. The log line omits a detail that the last log line already contains."""
+        self._phase, self._last_progress = phase, ""
         self._trace.phase(self._clock.now(), phase, detail)
         self._line("info", f"{phase}: {detail}" if detail and not self._last.startswith(detail) else phase)
 
     def progress(self, text: str) -> None:
-        """Record the progress within a phase, unless the text is the same as the last one."""
-        if text and text != self._said:
-            self._said = text
+        """Record the progress within the phase, unless `text` equals the progress that was recorded last."""
+        if text and text != self._last_progress:
+            self._last_progress = text
             self._trace.phase(self._clock.now(), self._phase, text)
             self._line("info", text)
 
@@ -90,15 +90,15 @@ class Journal:
         self.log("error", text)
 
     def stall(self, state: State, why: str, lasted: float) -> None:
-        """Record that the vehicle has had no path for `lasted` seconds, or has one again."""
+        """Record that a stall of the vehicle begins, goes on or ends, after `lasted` seconds."""
         self._trace.stall(self._clock.now(), state, why, lasted)
         self.warn(f"{_STALLED[state].format(lasted)}: {why}")
 
     def monitor(self, change: Change) -> None:
-        """Record a change of a property's verdict.
+        """Record a change of a property's verdict in the trace, and log it.
 
-        It is also logged, except for a first verdict that is no violation, and for most changes of a property that
-        changes often."""
+        A first verdict is logged only if it is a violation. If a property changes often, only the first changes in each
+        interval are logged, and every violation that ends the robot's mission."""
         self._trace.monitor(change)
         since, count = self._changes.get(change.word, (-math.inf, 0))
         if change.time - since > OFTEN:
@@ -114,22 +114,22 @@ class Journal:
             self._line("info", f"{change.word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
 
     def judged(self, violated: bool, summary: str) -> None:
-        """Record the final verdicts of the robot's monitors."""
+        """Log a summary of the final verdicts of the robot's monitors. `violated`: a property was violated."""
         if summary:
             self.log("warning" if violated else "info", f"properties: {summary}")
 
     def watch(self, monitor: Observe) -> None:
-        """Add a callback for each round's record."""
+        """Add a monitor: a function that is called with the record of each committed round."""
         self._monitors.append(monitor)
 
     def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float) -> None:
-        """Record the program's output of a round; 0 is `init`. Every agent serves streams."""
+        """Record the lines that the program wrote to its streams in a round; round 0 is `init`."""
         for port, text in lines:
             self._trace.stream(time, round_, port, text)
             self._line("info", f"{port}: {text}")
 
     def init(self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float) -> None:
-        """Record the execution of `init`."""
+        """Record the run of `init`: its sensor values and writes, and the robot's own variables `after` it."""
         self._trace.init(time, sensors, effects, after, calls)
         self.recent.wrote(0, effects.shared)
         self.streams(effects.streams, 0, time)
@@ -137,7 +137,7 @@ class Journal:
     def view(self, view: View, names: Sequence[str], over: bool) -> None:
         """Record a new view. In view 0 all robots are members.
 
-        over: this robot's mission is over. That other robots leave is normal then, so it is not logged as a warning.
+        over: True if this robot's mission is over. Other robots may leave then, so the view is not logged as a warning.
         """
         self._trace.view(self._clock.now(), view.number, view.since, view.members)
         if view.number:
@@ -145,23 +145,23 @@ class Journal:
 
     @property
     def traces(self) -> bool:
-        """True if counters are recorded."""
+        """True if the trace is written, so that callers must pass counters."""
         return self._trace.open
 
     @property
     def full(self) -> bool:
-        """True if the waiting records must be recorded now."""
+        """True if so many records of rounds wait that they must be written now."""
         return len(self.untold) >= MOST_UNTOLD
 
-    def tell(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
-        """Record all waiting rounds, and the metrics if they are due."""
+    def write_pending(self, counters: Mapping[str, int], rejected: Mapping[str, int]) -> None:
+        """Write all waiting records of rounds, and the metrics if they are due."""
         for record in self.untold:
             self.observe(record, counters)
         self.measure(rejected, self.untold[-1].time)
         self.untold.clear()
 
-    def observe(self, record: Record, counters: Mapping[str, int]) -> None:
-        """Record a committed round; `counters` are all counters, if it `traces`."""
+    def observe(self, record: RoundRecord, counters: Mapping[str, int]) -> None:
+        """Record a committed round. `counters`: all counters of the runtime; they are used only if `traces` is True."""
         if self._trace.open:
             changed = {k: v for k, v in counters.items() if k != "rounds" and self._counted.get(k, 0) != v}
             self._counted = counters
@@ -179,7 +179,7 @@ class Journal:
                 self._monitors.remove(monitor)
 
     def attempt(self, monitor: Callable[[T], None], seen: T) -> bool:
-        """Call a monitor. An exception is logged and stops only that monitor."""
+        """Call a monitor. Log an exception. Return False if the monitor raised one, so that it is called no more."""
         try:
             monitor(seen)
         except Exception as error:
@@ -188,7 +188,7 @@ class Journal:
         return True
 
     def measure(self, rejected: Mapping[str, int], now: float, at_once: bool = False) -> None:
-        """Record the metrics if they are due."""
+        """Record the metrics if they are due, or if `at_once`."""
         if at_once or now - self._measured >= METRICS_EVERY:
             self._measured = now
             self._trace.metrics(now, self._metrics.snapshot(now, rejected))

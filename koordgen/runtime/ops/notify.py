@@ -1,8 +1,8 @@
 """Readiness and watchdog messages to systemd, by the protocol of sd_notify(3), without a library.
 
-A service manager names a datagram socket in the environment (NOTIFY_SOCKET) and, where it watches, how often it wants
-to hear from the process (WATCHDOG_USEC, WATCHDOG_PID). Elsewhere nothing is sent. A message that cannot be sent is
-dropped: a robot in flight does not depend on its service manager.
+The service manager names a datagram socket in the environment variable NOTIFY_SOCKET. If it has a watchdog, the
+variables WATCHDOG_USEC and WATCHDOG_PID give the timeout. Without NOTIFY_SOCKET nothing is sent. A message that cannot
+be sent is dropped, because a robot in flight must not depend on its service manager.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from contextlib import suppress
 
 
 class Notifier:
-    """Sender of one process's messages. Times are seconds of any monotonic clock."""
+    """Sender of one process's messages to its service manager. Times are seconds of any monotonic clock."""
 
     def __init__(self, environment: Mapping[str, str], pid: int) -> None:
-        """Read `environment` (as os.environ) for the process `pid`.
+        """Read the socket and the watchdog's timeout for the process `pid` from `environment` (as os.environ).
 
-        A socket that is no path, and a period that is invalid or belongs to another process, count as absent."""
+        A socket that is neither a path nor an abstract name is ignored, as is a timeout that is invalid or belongs to
+        another process."""
         name = environment.get("NOTIFY_SOCKET", "")
         self._address = "\0" + name[1:] if name.startswith("@") else name if name.startswith("/") else ""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if self._address else None
@@ -34,9 +35,9 @@ class Notifier:
         self._send("READY=1")
 
     def alive(self, now: float, status: str) -> None:
-        """Feed the watchdog, and send `status` if it has changed.
+        """Send the watchdog's sign of life if it is due, and `status` if the text has changed.
 
-        Call in each turn of the loop that must not hang."""
+        Call this in each turn of the loop that the watchdog supervises."""
         if self._socket is None:
             return
         if status != self._status:
@@ -61,7 +62,7 @@ class Notifier:
 
 
 def _period(environment: Mapping[str, str], pid: int) -> float:
-    """Return a third of the watchdog's timeout in seconds; inf without a watchdog."""
+    """Return the seconds between two signs of life: a third of the watchdog's timeout, or inf without a watchdog."""
     try:
         wanted = int(environment.get("WATCHDOG_USEC", "0"))
         watched = int(environment.get("WATCHDOG_PID", str(pid)))

@@ -1,14 +1,16 @@
 """Datagrams of the control port between operators and agents: emergency stop and status.
 
-A datagram is one byte `ORDER_FORMAT`, one of its kind, fields at fixed offsets, zeros up to its length, and the MAC of
-`seal`. This module needs only Python itself: a stop must work from any computer that has the key.
+A datagram consists of the byte `ORDER_FORMAT`, a byte for the kind, fields at fixed offsets, zeros up to the fixed
+length, and the MAC of `seal`. This module needs only Python's standard library, so that any computer that has the key
+can send a stop.
 
-Stop: Ask -> Offer with a challenge -> Stop with that challenge -> Stopped. Status: Ask -> Offer -> AskStatus with that
-challenge -> StatusPart. A challenge is accepted only by the agent that issued it, for CHALLENGE_LIFE seconds, and its
-secret is lost at the end of the process. So a recorded Stop stops no robot, and a recorded AskStatus gets no answer.
-Every answer contains the random nonce of its request, so no recorded answer is accepted either.
+An emergency stop exchanges four datagrams: Ask, Offer with a challenge, Stop with this challenge, Stopped. A status
+request exchanges Ask, Offer, AskStatus with the challenge, StatusPart. Only the agent that issued a challenge accepts
+the challenge, for CHALLENGE_LIFE seconds; the secret for its verification is lost when the agent's process ends. So a
+recorded Stop stops no robot, and a recorded AskStatus gets no answer. Each answer contains the random nonce of its
+request, so recorded answers are not accepted either.
 
-The formats of Ask, Offer, Stop and Stopped never change: a new koordgen must be able to stop an old agent."""
+The formats of Ask, Offer, Stop and Stopped never change, because a new koordgen must be able to stop an old agent."""
 
 from __future__ import annotations
 
@@ -19,20 +21,20 @@ from dataclasses import dataclass
 from koordgen.runtime.net.seal import CONTROL, MAC_SIZE, seal, unseal
 
 ORDER_FORMAT = 1
-# Lengths of sealed datagrams in bytes. Requests are as long as their answers, so an agent cannot amplify a flood.
+# Lengths of sealed datagrams in bytes. A request is as long as its answer, so an agent cannot amplify a flood.
 SHORT = 96
 LONG = 1200  # length of an AskStatus, and largest length of its answer
-NONCE = 8  # bytes of a nonce
-CHALLENGE = 24  # bytes of a challenge
-CHALLENGE_LIFE = 10.0  # seconds for which a challenge is accepted after it was issued
-_NAME = 32  # bytes of a robot's name or phase
+NONCE = 8  # length of a nonce in bytes
+CHALLENGE = 24  # length of a challenge in bytes
+CHALLENGE_LIFE = 10.0  # seconds after its issue for which an agent accepts a challenge
+_NAME = 32  # length of the field for a robot's name or an agent's phase, in bytes
 _PART = struct.Struct("!BB8sHH")
-PIECE = LONG - MAC_SIZE - _PART.size  # bytes of a status in one datagram
+PIECE = LONG - MAC_SIZE - _PART.size  # largest number of bytes of a status report in one datagram
 
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Request for the robot's name and for a challenge, which Stop and AskStatus must contain."""
+    """Request for the name of the robot and for a challenge. A later Stop or AskStatus must contain the challenge."""
 
     application: int
     nonce: bytes
@@ -47,14 +49,14 @@ class Offer:
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StopOrder:
     nonce: bytes
     challenge: bytes
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
-    """Answer to Stop: the robot is stopping safely (`phase` is "resting"), or has stopped ("rested")."""
+class StopAnswer:
+    """Answer to Stop: the robot is stopping safely (`phase` is "stopping"), or has stopped ("stopped")."""
 
     nonce: bytes
     pid: int
@@ -76,21 +78,21 @@ class StatusPart:
     nonce: bytes
     part: int
     parts: int
-    data: bytes  # of a JSON text
+    data: bytes  # piece of the status report's JSON text
 
 
-Order = Ask | Offer | Stop | Stopped | AskStatus | StatusPart
+Order = Ask | Offer | StopOrder | StopAnswer | AskStatus | StatusPart
 
 _ASK = struct.Struct("!BBH8s")
 _OFFER = struct.Struct(f"!BB8sB{CHALLENGE}s{_NAME}s")
 _STOP = struct.Struct(f"!BB8s{CHALLENGE}s")
 _STOPPED = struct.Struct(f"!BB8sB{_NAME}s")
 _ASK_STATUS = struct.Struct(f"!BBH8s{CHALLENGE}sH")
-_KIND_OF_ASK_STATUS = 6  # 4 was one without a challenge
+_KIND_OF_ASK_STATUS = 6  # in old versions kind 4 was an AskStatus without a challenge
 
 
 def encode(order: Order, key: bytes | None) -> bytes:
-    """Return a sealed datagram."""
+    """Return a sealed datagram that contains the order."""
     f = ORDER_FORMAT
     length = SHORT
     match order:
@@ -98,9 +100,9 @@ def encode(order: Order, key: bytes | None) -> bytes:
             payload = _ASK.pack(f, 0, application, nonce)
         case Offer(nonce, pid, challenge, robot):
             payload = _OFFER.pack(f, 1, nonce, pid, challenge, _cut(robot))
-        case Stop(nonce, challenge):
+        case StopOrder(nonce, challenge):
             payload = _STOP.pack(f, 2, nonce, challenge)
-        case Stopped(nonce, pid, phase):
+        case StopAnswer(nonce, pid, phase):
             payload = _STOPPED.pack(f, 3, nonce, pid, _cut(phase))
         case AskStatus(application, nonce, challenge, part):
             payload = _ASK_STATUS.pack(f, _KIND_OF_ASK_STATUS, application, nonce, challenge, part)
@@ -111,9 +113,9 @@ def encode(order: Order, key: bytes | None) -> bytes:
 
 
 def decode(datagram: bytes, key: bytes | None) -> Order | str:
-    """Return the decoded order, or why it is refused.
+    """Return the order in a datagram, or the reason to refuse the datagram.
 
-    Nothing is read before the MAC was verified. Never raises."""
+    The order is read only after the MAC is verified. This function never raises."""
     if len(datagram) > LONG:
         return "oversize"
     payload = unseal(key, CONTROL, datagram)
@@ -146,15 +148,15 @@ def _offer(payload: bytes) -> Offer:
     return Offer(nonce, pid, challenge, _text(robot))
 
 
-def _stopped(payload: bytes) -> Stopped:
+def _stopped(payload: bytes) -> StopAnswer:
     _, _, nonce, pid, phase = _STOPPED.unpack_from(payload)
-    return Stopped(nonce, pid, _text(phase))
+    return StopAnswer(nonce, pid, _text(phase))
 
 
 _READERS: dict[int, Callable[[bytes], Order]] = {
     0: lambda payload: Ask(*_ASK.unpack_from(payload)[2:]),
     1: _offer,
-    2: lambda payload: Stop(*_STOP.unpack_from(payload)[2:]),
+    2: lambda payload: StopOrder(*_STOP.unpack_from(payload)[2:]),
     3: _stopped,
     _KIND_OF_ASK_STATUS: lambda payload: AskStatus(*_ASK_STATUS.unpack_from(payload)[2:]),
 }

@@ -1,7 +1,7 @@
-"""Recent history of one robot for its status report: log lines, results of rounds, shared writes.
+"""Recent history of one robot for its status report: log lines, results of rounds, writes of shared variables.
 
-The history is bounded, each update costs O(1), and values are encoded only for a request. Lines are numbered from 1,
-and rounds have their own numbers, so a client can merge successive reports without duplicates."""
+The history has a fixed largest size. Each update costs O(1), because values are encoded only for a status report. Log
+lines are numbered from 1, and rounds have numbers, so a client can merge successive reports without duplicates."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 
 MOST_LINES, LONGEST_LINE, LINES_BYTES = 32, 200, 2500
 MOST_ROUNDS, LONGEST_OUTCOME, ROUNDS_BYTES = 64, 100, 2000
-LONGEST_VALUE, VALUES_BYTES = 300, 2000  # bytes of JSON
+LONGEST_VALUE, VALUES_BYTES = 300, 2000  # largest size of one value, and of all values, in bytes of JSON
 MOST_POINTS = 32
 
 _encoder = msgspec.json.Encoder(enc_hook=repr)
-Line = tuple[int, float, int, str, str]  # number, local time (s), round, level, text
-Outcome = tuple[int, str, str, float]  # round, outcome, detail, seconds after the round's tick
+Line = tuple[int, float, int, str, str]  # number of the line, local time in seconds, round, level, text
+RoundResult = tuple[int, str, str, float]  # round, outcome, detail, seconds after the round's start
 
 
 class Recent:
-    """Last lines and rounds of a robot, and the last value that it wrote into each shared variable."""
+    """Last log lines and rounds of a robot, and the last value that the robot wrote into each shared variable."""
 
     def __init__(self) -> None:
         self._lines: deque[Line] = deque(maxlen=MOST_LINES)
-        self._rounds: deque[Outcome] = deque(maxlen=MOST_ROUNDS)
+        self._rounds: deque[RoundResult] = deque(maxlen=MOST_ROUNDS)
         self._written: dict[str, tuple[int, Any]] = {}
         self._count = 0
-        self._decided = 0.0  # time when the last round was decided
+        self._decided = 0.0  # time of the newest round's record, in seconds of the local clock
 
     def line(self, time: float, round_: int, level: str, text: str) -> None:
-        """Add a log line."""
+        """Add a log line of the robot."""
         self._count += 1
         self._lines.append((self._count, time, round_, level, text[:LONGEST_LINE]))
 
-    def round(self, record: Record) -> None:
-        """Add the result of a round, with the shared variables that its event wrote."""
+    def round(self, record: RoundRecord) -> None:
+        """Add the result of a round, and the shared variables that the round's event wrote."""
         if record.fault is not None:
             outcome, detail = "fault", str(record.fault)
         elif record.skipped is not None:
@@ -53,19 +53,20 @@ class Recent:
             self.wrote(record.round, record.effects.shared)
 
     def wrote(self, round_: int, values: Mapping[str, Any]) -> None:
-        """Add the shared variables that an event of a round, or `init` (round 0), wrote."""
+        """Add the shared variables that the event of a round wrote; round 0 is `init`."""
         for name, value in values.items():
             self._written[name] = round_, value
 
     def report(self, now: float, kinds: Mapping[str, str]) -> dict[str, Any]:
-        """Return the history as plain values. Ages are in seconds at local time `now`.
+        """Return the history as values that JSON can encode. Ages are in seconds at local time `now`.
 
-        kinds: kind (allread or allwrite) of each shared variable.
+        kinds: name of a shared variable -> kind (allread or allwrite).
         The result has these keys:
-        lines: [number, age, round, level, text] of each line.
-        outcomes: runs of equal outcomes, [first round, number of rounds, outcome, detail, lateness of each round (ms)].
+        lines: [number, age, round, level, text] of each log line.
+        outcomes: [first round, number of rounds, outcome, detail, list of the rounds' lateness in ms] for each sequence
+        of rounds with equal outcomes.
         decided: age of the last outcome.
-        shared: [name, kind, round, value] of each write; a long value is {"cut": the beginning of its JSON}.
+        shared: [name, kind, round, value] of each write; a long value is {"cut": first part of its JSON}.
         """
         written = ([name, kinds[name], round_, _plain(value)] for name, (round_, value) in self._written.items())
         lines = ([number, round(now - time, 2), *more] for number, time, *more in reversed(self._lines))
@@ -77,7 +78,7 @@ class Recent:
         }
 
 
-def _runs(rounds: Iterable[Outcome]) -> list[list[Any]]:
+def _runs(rounds: Iterable[RoundResult]) -> list[list[Any]]:
     runs: list[list[Any]] = []
     for number, outcome, detail, late in rounds:
         late_ms = round(late * 1e3, 1)
@@ -90,7 +91,7 @@ def _runs(rounds: Iterable[Outcome]) -> list[list[Any]]:
 
 
 def _within(most: int, rows: Iterable[list[Any]]) -> list[list[Any]]:
-    """Return the first rows whose JSON together has at most `most` bytes."""
+    """Return as many of the first rows as have at most `most` bytes of JSON together."""
     kept: list[list[Any]] = []
     for row in rows:
         most -= len(_encoder.encode(row))
@@ -108,9 +109,9 @@ def _plain(value: Any) -> Any:
 
 
 def goal(actuators: Mapping[str, Any], is_finite: Callable[[Any], bool]) -> list[list[float]]:
-    """Return the points of the last commanded path or target: metres, local ENU; empty if there is none.
+    """Return the points of the commanded path or target in metres, local ENU; an empty list without a command.
 
-    Of a long path MOST_POINTS are returned, always including the last."""
+    A long path is thinned to at most MOST_POINTS points; the last point is always kept."""
     for port in (".path", ".target"):
         for name, value in actuators.items():
             points = (value if port == ".path" else (value,)) if name.endswith(port) else ()

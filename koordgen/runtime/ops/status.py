@@ -1,4 +1,4 @@
-"""`--status`: requests the status of the agent on this host over its control port, and formats it."""
+"""Command `--status`: requests the status report of the agent on this host over the control port, and formats it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.ops.control import address_of
 from koordgen.runtime.ops.orders import LONG, NONCE, Ask, AskStatus, Offer, StatusPart, decode, encode
 
-REPEAT, TIMEOUT = 0.1, 2.0  # seconds
+REPEAT, TIMEOUT = 0.1, 2.0  # seconds until a request is sent again, and until the command gives up
 
 
-class Asking:
-    """Request of one agent's status: send all `datagrams`, pass answers to `take`, until `answer` is set.
+class StatusRequest:
+    """Request of one agent's status report. The caller sends all `datagrams` and passes each answer to `receive`.
 
-    The first datagram requests the challenge needed by the others."""
+    This is repeated until `answer` is set. The first datagram requests the challenge that the other datagrams contain.
+    """
 
     def __init__(self, application: int, key: bytes | None, nonce: bytes) -> None:
         self.answer: dict[str, Any] | None = None
@@ -37,8 +38,8 @@ class Asking:
         questions = [AskStatus(self._application, self._nonce, self._challenge, i) for i in missing]
         return [encode(question, self._key) for question in questions]
 
-    def take(self, datagram: bytes) -> bool:
-        """Return whether the answer is complete, or another request should be sent at once."""
+    def receive(self, datagram: bytes) -> bool:
+        """Handle an answer. Return True if the report is complete, or if `datagrams` should be sent again at once."""
         order = decode(datagram, self._key)
         if isinstance(order, Offer) and order.nonce == self._nonce and not self._challenge:
             self._challenge = order.challenge
@@ -54,15 +55,15 @@ class Asking:
             return more
         try:
             self.answer = json.loads(b"".join(whole))
-        except ValueError:  # pieces of different times: another client asked meanwhile
+        except ValueError:  # the pieces belong to different reports, because the agent dropped the first report
             self._pieces = [None]
         return True
 
 
 def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
-    """Return the status of the agent with these settings on this host; None without an answer."""
+    """Return the status report of the agent with these settings on this host, or None if it does not answer."""
     family, address = address_of(settings)
-    asking = Asking(settings.application_id, key, os.urandom(NONCE))
+    asking = StatusRequest(settings.application_id, key, os.urandom(NONCE))
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         asker.settimeout(REPEAT)
         end = time.monotonic() + TIMEOUT
@@ -70,14 +71,14 @@ def ask(settings: Settings, key: bytes | None) -> dict[str, Any] | None:
             for datagram in asking.datagrams():
                 with suppress(OSError):
                     asker.sendto(datagram, address)
-            with suppress(OSError):  # a timeout among them
-                while not asking.take(asker.recv(LONG + 1)):
+            with suppress(OSError):  # includes a timeout
+                while not asking.receive(asker.recv(LONG + 1)):
                     pass
     return asking.answer
 
 
 def show(report: Mapping[str, Any]) -> str:
-    """Return a report as a table."""
+    """Return a status report as a table for a terminal."""
     late, names = report["late_ms"], report["names"]
     share = 100 * report["current"] / max(1, report["rounds"])
     lines = [

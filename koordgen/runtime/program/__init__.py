@@ -1,6 +1,6 @@
-"""Foundation of generated programs, and the execution of one event.
+"""Classes that generated programs use, and the execution of one event.
 
-Owns: program descriptions, event transactions, calls of extern functions, three-valued properties, guard skipping.
+Owns: descriptions of programs, transactions of events, calls of extern functions, three-valued properties.
 Offers: `Program`, `Property`, `Runner`.
 Must not import: any package but `values` and `config`.
 """

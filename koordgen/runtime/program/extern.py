@@ -1,6 +1,7 @@
-"""Calls of extern functions: copies in, strict conversion out, and no exception that escapes.
+"""Calls of extern functions: safe arguments, strict conversion of results, and one exception for all errors.
 
-Koord values are immutable, so they need no copying; values of extern types are decoded anew for every call."""
+An extern function cannot change the program's values: Koord values are immutable, and values of extern types are
+decoded anew for every call. Every exception of user code becomes a BadExtern."""
 
 from __future__ import annotations
 
@@ -16,12 +17,12 @@ from koordgen.runtime.values.containers import map_of, set_of
 from koordgen.runtime.values.gridmap import GridMap, sound
 from koordgen.runtime.values.points import Opaque
 
-# Exceptions of user code that must not end the agent.
+# Exceptions that user code may raise, and that must not end the agent.
 ESCAPES = (Exception, SystemExit, KeyboardInterrupt, GeneratorExit)
 
 
 class Contract(NamedTuple):
-    """Broken contract of an extern function: its kind, the function's name, and the line of the program."""
+    """Broken contract of an extern function: kind of the contract, name of the function, line in the program."""
 
     of: Literal["requires", "ensures"]
     name: str
@@ -29,9 +30,10 @@ class Contract(NamedTuple):
 
 
 class BadExtern(Exception):
-    """Failed call of an extern function.
+    """Raised if a call of an extern function failed.
 
-    Missing, raised, returned an invalid value, or broke its contract."""
+    The function is missing, raised an exception, returned an invalid value, or broke its contract. `contract` is the
+    broken contract, or None."""
 
     def __init__(self, message: str, contract: Contract | None = None) -> None:
         super().__init__(message)
@@ -39,22 +41,22 @@ class BadExtern(Exception):
 
 
 class Library:
-    """The user's module of functions and types, imported at its first use or by `load`."""
+    """Python module with the user's extern functions and types. It is imported at the first use, or by `load`."""
 
     def __init__(self, module: str) -> None:
         self._name = module
         self._module: Any = None
 
     def load(self) -> None:
-        """Import the module. Raises BadExtern."""
+        """Import the user's module. Raises BadExtern."""
         if self._module is None:
             try:
                 self._module = importlib.import_module(self._name)
             except ESCAPES as error:
-                raise BadExtern(f"{self._name}.py cannot be imported: {_told(error)}") from error
+                raise BadExtern(f"{self._name}.py cannot be imported: {_error_text(error)}") from error
 
     def find(self, name: str) -> Callable[..., Any]:
-        """Return a function or class of the module. Raises BadExtern."""
+        """Return a function or class of the user's module. Raises BadExtern if it is missing."""
         self.load()
         found = getattr(self._module, name, None)
         if not callable(found):
@@ -63,10 +65,10 @@ class Library:
 
 
 class Extern:
-    """One extern function.
+    """Extern function that a program can call.
 
-    `parameters` and `result` mirror its Koord types. `type` is the result's Python type and `wanted` its name in
-    messages: "a List<Point>"."""
+    `parameters` and `result`: size limits that follow the function's Koord types. `type`: Python type of the result.
+    `wanted`: name of the result's type in messages, such as "a List<Point>"."""
 
     def __init__(
         self, library: Library, name: str, parameters: tuple[Bound, ...], result: Bound, type: Any, wanted: str
@@ -79,13 +81,13 @@ class Extern:
         self._wanted = wanted
 
     def __call__(self, *args: Any) -> Any:
-        """Call the function. Return its result as a Koord value. Raises BadExtern."""
+        """Call the extern function, and return the result as a Koord value. Raises BadExtern."""
         function = self._library.find(self._name)
         given = [self._opened(bound, value) for bound, value in zip(self._parameters, args, strict=True)]
         try:
             found = function(*given)
         except ESCAPES as error:
-            raise BadExtern(f"{self._name} raised {_told(error)}") from error
+            raise BadExtern(f"{self._name} raised {_error_text(error)}") from error
         try:
             plain = msgspec.to_builtins(self._closed(self._result, found), builtin_types=(bytes,))
             return msgspec.convert(plain, self._type, strict=True)
@@ -93,19 +95,19 @@ class Extern:
             raise BadExtern(f"{self._name} returned {shown(found)}, not {self._wanted}") from None
 
     def require(self, holds: bool, line: int) -> None:
-        """Check a precondition of the function, which is on a line of the program. Raises BadExtern."""
+        """Raise BadExtern unless a precondition of the extern function holds. `line`: its line in the program."""
         if not holds:
             why = f"{self._name} was called although its precondition (line {line}) does not hold"
             raise BadExtern(why, Contract("requires", self._name, line))
 
     def ensure(self, holds: bool, line: int, result: object) -> None:
-        """Check a postcondition of the function, which is on a line of the program. Raises BadExtern."""
+        """Raise BadExtern unless a postcondition of the extern function holds. `line`: its line in the program."""
         if not holds:
             why = f"{self._name} returned {shown(result)}, which breaks its postcondition (line {line})"
             raise BadExtern(why, Contract("ensures", self._name, line))
 
     def _opened(self, bound: Bound, value: Any) -> Any:
-        """Convert a Koord value to the user's form, with objects of the user's own classes."""
+        """Convert a Koord value to an argument of the user's function: Opaques become objects of the user's classes."""
         match bound:
             case Blob(_, name):
                 return self._made(name, value)
@@ -124,14 +126,13 @@ class Extern:
         try:
             return msgspec.msgpack.decode(value.data, type=cls) if value.data else cls()
         except ESCAPES as error:
-            raise BadExtern(f"no {name} can be made for {self._name}: {_told(error)}") from error
+            raise BadExtern(f"no {name} can be made for {self._name}: {_error_text(error)}") from error
 
     def _closed(self, bound: Bound, value: Any) -> Any:
-        """Convert a result to Koord's form.
+        """Convert a result of the user's function to Koord values.
 
-        Sets and maps in canonical order, objects of the user's classes packed.
-
-        A wrong shape is left to the later conversion to report. Raises ValueError, TypeError."""
+        Sets and maps are sorted, and objects of the user's classes become Opaques. A value of a wrong type may be
+        returned unchanged, because the later conversion to `type` reports it. Raises ValueError or TypeError."""
         match bound:
             case Blob(_, name):
                 if not isinstance(value, self._library.find(name)):  # type: ignore[arg-type]
@@ -157,7 +158,9 @@ class Extern:
 
 
 def _items(value: Any, fields: tuple[str, ...]) -> tuple[Any, ...]:
-    """Return the parts of a tuple or record: a sequence, a dict by field, or any object with these fields."""
+    """Return the items of a tuple or the fields of a record from a sequence, a dict or an object.
+
+    The keys of the dict, or the attributes of the object, are `fields`."""
     if isinstance(value, (list, tuple)):
         return tuple(value)
     if not fields or (isinstance(value, dict) and value.keys() != set(fields)):
@@ -176,14 +179,14 @@ def _holds_blob(bound: Bound) -> bool:
 
 
 def shown(value: object) -> str:
-    """Return a short representation, whatever the user's `__repr__` does."""
+    """Return a short text of a value, even if the `__repr__` of a user's class raises an exception."""
     try:
         return reprlib.repr(value)
     except ESCAPES:
         return f"a {type(value).__name__}"
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     try:
         return f"{type(error).__name__}: {error}"
     except ESCAPES:

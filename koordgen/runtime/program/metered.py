@@ -1,7 +1,7 @@
-"""Geometry and GridMaps as programs call them: geometry.py and gridmap.py with a count of turns.
+"""Functions of geometry.py and gridmap.py for programs: each call also spends turns of the event.
 
-A GridMap counts as one element for CELLS_AN_ELEMENT cells. koordgen/lang/semantics/eval.py counts the same. Sensors,
-planners and simulations call geometry.py and gridmap.py directly, without a count."""
+CELLS_AN_ELEMENT cells of a GridMap count as one element. koordgen/lang/semantics/eval.py counts turns by the same
+rules. Sensors, planners and simulations call geometry.py and gridmap.py directly, without a count."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Point
 from koordgen.runtime.values.turns import elements, looked_in, spend
 
-PAIRS_A_TURN = 10  # pairs of points of two paths
+PAIRS_A_TURN = 10  # number of pairs of points, one of each path, that cost one turn
 
 Path = tuple[Point, ...]
 
 
 def path_distance(a: Path, b: Path) -> float:
-    """Call the function of geometry.py within the limit of turns. Raises TooMuch."""
+    """Return `geometry.path_distance(a, b)` after spending the call's turns. Raises TooMuch."""
     spend((len(a) + 1) * (len(b) + 1) // PAIRS_A_TURN)
     return geometry.path_distance(a, b)
 
 
 def clear(path: Path, paths: tuple[Path, ...], eps: float) -> bool:
-    """Call the function of geometry.py within the limit of turns. Raises TooMuch."""
+    """Return `geometry.clear(path, paths, eps)` after spending the call's turns. Raises TooMuch."""
     spend((len(path) + 1) * (sum(map(len, paths)) + len(paths)) // PAIRS_A_TURN)
     return geometry.clear(path, paths, eps)
 
 
 def area(lo: Point, hi: Point, resolution: float) -> GridMap:
-    """Call the function of gridmap.py within the limit of turns. Raises TooMuch."""
+    """Return `gridmap.area(lo, hi, resolution)` and spend the call's turns. Raises TooMuch."""
     return looked_in(gridmap.area(lo, hi, resolution))
 
 
 def mark_free(m: GridMap, g: Grid) -> GridMap:
-    """Call the function of gridmap.py within the limit of turns. Raises TooMuch."""
+    """Return `gridmap.mark_free(m, g)` and spend the call's turns. Raises TooMuch."""
     return looked_in(gridmap.mark_free(m, g))
 
 
 def mark_occupied(m: GridMap, g: Grid) -> GridMap:
-    """Call the function of gridmap.py within the limit of turns. Raises TooMuch."""
+    """Return `gridmap.mark_occupied(m, g)` and spend the call's turns. Raises TooMuch."""
     return looked_in(gridmap.mark_occupied(m, g))
 
 
 def merge(a: GridMap, b: GridMap) -> GridMap:
-    """Call the function of gridmap.py within the limit of turns. Raises TooMuch.
+    """Return `gridmap.merge(a, b)` and spend the call's turns. Raises TooMuch.
 
-    It visits all cells, which takes 100 times as long as copying them."""
+    Each element costs one turn, because merging maps takes 100 times as long as copying them."""
     found = gridmap.merge(a, b)
     spend(elements(found))
     return found

@@ -1,7 +1,7 @@
 """Interface between a generated program and the runtime, and the execution of one event.
 
-A generated `program.py` defines one `PROGRAM: Program`. An event works on a Transaction of its own, created by `begin`
-from a `Frame`. An event can reach nothing else of the robot, so dropping the Transaction discards the event.
+A generated `program.py` defines one `PROGRAM: Program`. Each event works on a new Transaction, which `Program.begin`
+creates from a `Frame`. An event can change nothing else of the robot, so dropping the Transaction discards the event.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ from koordgen.runtime.values.points import NotANumber, transmissible
 from koordgen.runtime.values.turns import NoTurns, TooMuch, begin, made
 
 T = TypeVar("T")
-LONGEST_REASON = 300  # characters after which the reason of a fault is cut
+LONGEST_REASON = 300  # largest number of characters in the reason of a fault; longer reasons are cut
 
 
 def no_ports(port: str, args: tuple[Any, ...]) -> Any:
-    """Raise LookupError: `Frame.call` of a robot without callable ports."""
+    """Raise LookupError. This is `Frame.call` of a robot without callable ports."""
     raise LookupError(f"nothing serves {port}")
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """Input of an event: everything that the robot knows.
+    """Input of an event: all values that the robot knows.
 
-    Keys of `sensors` and `actuators` are "Module.port". `shared` maps an allread variable to its slots by pid and an
-    allwrite variable to its value. `call` answers a callable port by name and arguments."""
+    The keys of `sensors` and `actuators` are "Module.port". `shared` maps the name of an allread variable to the tuple
+    of its slots, and the name of an allwrite variable to its value. `call` returns the answer of a callable port from
+    the port's name and the arguments."""
 
     pid: int
     n_sys: int
@@ -48,9 +49,9 @@ class Frame(msgspec.Struct, frozen=True):
 class Effects(msgspec.Struct, frozen=True):
     """Result of an event.
 
-    All locals as they are afterwards; only those shared variables and actuators that it wrote (an equal value counts as
-    written); its output lines as (port, line) in order. `violated`: Koord lines of the loop invariants that were false
-    or had no value, each once."""
+    `locals`: values of all local variables after the event. `shared`, `actuators`: only the variables that the event
+    wrote; a write of an equal value counts. `streams`: output lines as (port, line), in their order. `violated`: Koord
+    lines of the loop invariants that were false or had no value, without repetition."""
 
     locals: Mapping[str, Any]
     shared: Mapping[str, Any]
@@ -61,7 +62,7 @@ class Effects(msgspec.Struct, frozen=True):
 
 
 class Life(msgspec.Struct, frozen=True):
-    """A robot's private variables after its event of a round; round 0: after `init`."""
+    """Private variables of a robot after the event of a round; round 0 denotes `init`."""
 
     round: int
     locals: Mapping[str, Any]
@@ -71,32 +72,32 @@ class Life(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Reason why an event was discarded: Koord file, line (0 if unknown), and text.
+    """Reason why an event was discarded: file and line of the Koord program, and text.
 
-    The line is that of the failing statement, also inside a function; of the call, for a contract of an extern
-    function; of the last write, for an invalid value."""
+    `line`: line of the statement that failed, which may be in a function. For a broken contract of an extern function,
+    the line of the call. For an invalid value, the line of its last write. 0: unknown."""
 
     file: str
     line: int
     reason: str
-    contract: Contract | None = None  # the broken contract
+    contract: Contract | None = None  # contract of an extern function that the event broke
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.reason}" if self.line else f"{self.file}: {self.reason}"
 
 
 class Stopped(Exception):
-    """Raised by `stop` in generated code: ends the event at once, keeping its writes so far."""
+    """Raised by the statement `stop` in generated code. It ends the event, whose writes before the statement count."""
 
 
-_violated: dict[int, None] = {}  # Koord lines of loop invariants that did not hold in the running event
+_violated: dict[int, None] = {}  # Koord lines of the loop invariants that were false in the running event
 
 
 def claim(line: int, holds: Callable[[], bool]) -> bool:
-    """Evaluate the loop invariant on a Koord line, for the running event. Always return True.
+    """Evaluate the loop invariant on a Koord line of the running event, and record the line if it is false.
 
-    Generated code calls it before a loop's condition. Raises NoTurns: an event that has used up its turns is
-    discarded."""
+    Always return True, because generated code calls this function as a part of the loop's condition. Raises NoTurns if
+    the event has used up its turns, so that the event is discarded."""
     try:
         held = holds()
     except NoTurns:
@@ -109,14 +110,14 @@ def claim(line: int, holds: Callable[[], bool]) -> bool:
 
 
 def behind(turns: range) -> int:
-    """Return the value with which a loop over `turns` ends: the first one outside."""
+    """Return the first value behind a range: the value of the loop variable after a loop over `turns`."""
     return turns.start + len(turns) * turns.step
 
 
 class Cell(Generic[T]):
-    """A variable or an actuator inside an event; reads return what was written.
+    """Variable or actuator inside an event. A read returns the value that the event wrote last.
 
-    `line` is the line of the last write, in the writer's file; 0 if there was none."""
+    `line`: line of the last write, in the Python file that wrote; 0 before the first write."""
 
     __slots__ = ("_value", "line")
 
@@ -134,15 +135,15 @@ class Cell(Generic[T]):
         self.line = sys._getframe(1).f_lineno
 
     def show(self, value: T) -> None:
-        """Set the initial value of the event. Tools evaluate one event on many states."""
+        """Set the value that the event reads before it writes. Tools use this to run one event on many states."""
         self._value = value
         self.line = 0
 
 
 class Slots(Generic[T]):
-    """An allread variable inside an event: all slots are readable, only `own` is writable.
+    """Allread variable inside an event: the event can read all slots, and write only the slot `own`.
 
-    `line` as in Cell."""
+    `line`: line of the last write, in the Python file that wrote; 0 before the first write."""
 
     __slots__ = ("_pid", "_values", "line")
 
@@ -158,7 +159,7 @@ class Slots(Generic[T]):
 
     @property
     def all(self) -> tuple[T, ...]:
-        """All slots, by pid."""
+        """Slots of all robots, in the order of their pids."""
         return self._values
 
     @property
@@ -171,23 +172,23 @@ class Slots(Generic[T]):
         self.line = sys._getframe(1).f_lineno
 
     def show(self, values: Sequence[T], pid: int) -> None:
-        """Set the initial values of the event on robot `pid`. See Cell.show."""
+        """Set the slots that the event reads before it writes, and the robot `pid` that runs the event."""
         self._values = tuple(values)
         self._pid = pid
         self.line = 0
 
 
 class Transaction:
-    """One event's view of its robot, with its writes so far.
+    """Variables of a robot as one event sees them, with the event's writes.
 
-    Generated programs request each variable by `local`, `shared`, `actuator` and `slots`, so a subclass may return
-    cells of its own kind."""
+    Generated programs get each variable from `local`, `shared`, `actuator` or `slots`, so a subclass can return a
+    subclass of Cell or Slots."""
 
     def __init__(self, frame: Frame) -> None:
         self.pid = frame.pid
         self.n_sys = frame.n_sys
         self.call = frame.call
-        self.written: dict[str, Cell[Any] | Slots[Any]] = {}  # all variables that can be written
+        self.written: dict[str, Cell[Any] | Slots[Any]] = {}  # name -> variable or actuator that the event can write
         self._frame = frame
         self._streams: list[tuple[str, str]] = []
 
@@ -208,16 +209,16 @@ class Transaction:
         return slots
 
     def emit(self, port: str, *parts: str) -> None:
-        """Append one line to a stream."""
+        """Append one line of text, joined from `parts`, to the output stream `port`."""
         self._streams.append((port, made("".join(parts))))
 
-    def news(self) -> dict[str, Any]:
-        """Return the written values by name; of an allread variable, the robot's own slot."""
+    def written_values(self) -> dict[str, Any]:
+        """Return the values that the event wrote (name -> value); for an allread variable the robot's own slot."""
         written = self.written.items()
         return {name: place.own if isinstance(place, Slots) else place.value for name, place in written if place.line}
 
     def effects(self, found: Mapping[str, Any], stopped: bool) -> Effects:
-        """Return the event's effects, given its `news`."""
+        """Return the effects of the event. `found`: the values that the event wrote (name -> value)."""
         frame = self._frame
         return Effects(
             {name: found.get(name, value) for name, value in frame.locals.items()},
@@ -231,9 +232,10 @@ class Transaction:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """A local or shared variable.
+    """Declaration of a local or shared variable.
 
-    `type`: for decoding by msgspec. `initial` returns its initial value. `bound`: limits of its size."""
+    `type`: Python type for decoding by msgspec. `initial`: returns the initial value. `bound`: size limit of the value.
+    """
 
     name: str
     kind: Literal["local", "allread", "allwrite"]
@@ -244,15 +246,15 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A port, named "Module.port".
+    """Declaration of a port with the name "Module.port".
 
-    `type` is that of a sensor's or actuator's value, or of a call's result. An actuator has a `bound`; `unset` returns
-    its value before it is written.
+    `type`: type of a sensor's or actuator's value, or of a callable port's answer. `bound`: size limit of an actuator.
+    `unset`: returns an actuator's value before the first write.
 
-    `is_position`: the sensor is the robot's own position (Point, local ENU, metres). `held`: the sensor whose value the
-    actuator has before it is written, instead of `unset`; the program may not declare it. `clears`: sensors of the
-    program that are true before any command, and false from a command of this actuator until the robot sets them
-    again."""
+    `is_position`: the sensor is the robot's own position (Point, local ENU, metres). `held`: sensor whose value the
+    actuator has before the first write, in place of `unset`; the program need not declare this sensor. `clears`:
+    sensors that a command of this actuator sets to false until the robot sets them to true again. They are true before
+    the first command."""
 
     name: str
     direction: Literal["sensor", "actuator", "callable", "stream"]
@@ -266,9 +268,9 @@ class Port:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """An event of the program: name, Koord line, guard and effect over the program's Transaction.
+    """Event of a program: name, Koord line, guard and effect. Guard and effect are functions of a Transaction.
 
-    `lock` is the index in `Program.locks` of the lock that an atomic event needs; None for a plain event."""
+    `lock`: index in `Program.locks` of the lock that an atomic event needs; None for an event that is not atomic."""
 
     name: str
     line: int
@@ -279,11 +281,11 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A whole generated program.
+    """Generated program.
 
-    `source` is the Koord file's name. Hashes are 16 hexadecimal digits: `interface_hash` (shared declarations, wire
-    format) must be equal for all peers, `program_hash` within one application. `locks` are groups of shared variables.
-    `lines` maps lines of `file` to those of the source."""
+    `source`: name of the Koord file. `program_hash`, `interface_hash`: 16 hexadecimal digits each. `interface_hash`
+    (shared declarations, wire format) must be equal on all peers, `program_hash` in one application. `locks`: groups of
+    shared variables. `lines`: line of the generated `file` -> line of the Koord file."""
 
     name: str
     source: str
@@ -299,11 +301,11 @@ class Program:
     lines: Mapping[int, int]
     locks: tuple[tuple[str, ...], ...] = ()
     library: Library | None = None
-    bounds: Mapping[str, Bound] = field(init=False, repr=False, compare=False)  # by name, for everything with a bound
+    bounds: Mapping[str, Bound] = field(init=False, repr=False, compare=False)  # name -> size limit
 
     @property
     def clears(self) -> dict[str, tuple[str, ...]]:
-        """For each actuator that clears sensors, the sensors that its command clears."""
+        """Name of an actuator -> sensors that a command of the actuator clears. Other actuators are left out."""
         return {port.name: port.clears for port in self.ports if port.clears}
 
     def __post_init__(self) -> None:
@@ -312,9 +314,10 @@ class Program:
 
 
 def choose(program: Program, state: Transaction) -> Event | Fault | None:
-    """Return the first event in text order whose guard holds, or None. A guard that raises is a Fault.
+    """Return the first event, in the order of the program text, whose guard holds; None if no guard holds.
 
-    Guards write nothing, so all guards and the effect share one Transaction."""
+    Return a Fault if a guard raises an exception. All guards and the event's effect can share the Transaction `state`,
+    because guards write nothing."""
     for event in program.events:
         try:
             if enabled(event, state):
@@ -325,15 +328,16 @@ def choose(program: Program, state: Transaction) -> Event | Fault | None:
 
 
 def enabled(event: Event, state: Transaction) -> bool:
-    """Return whether an event's guard holds, with a turn count of its own."""
+    """Return whether the guard of an event holds. The guard has its own limit of turns."""
     begin()
     return event.guard(state)
 
 
 def run(program: Program, effect: Callable[[Any], None], state: Transaction, line: int = 0) -> Effects | Fault:
-    """Run one effect, which is on a Koord line. Return its effects, or a Fault.
+    """Run the statements `effect` of an event. Return the effects, or a Fault if the event is discarded.
 
-    An exception, and any value that must not be kept or sent, discards the whole event."""
+    An exception discards the whole event, as does a value that no robot may keep or send. `line`: Koord line of the
+    event."""
     stopped = False
     _violated.clear()
     begin()
@@ -343,7 +347,7 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
         stopped = True
     except Exception as error:
         return _fault(program, error)
-    found = state.news()
+    found = state.written_values()
     effects = state.effects(found, stopped)
     return _refused(program, state, found, effects, line) or effects
 
@@ -351,7 +355,9 @@ def run(program: Program, effect: Callable[[Any], None], state: Transaction, lin
 def _refused(
     program: Program, state: Transaction, found: Mapping[str, Any], effects: Effects, line: int
 ) -> Fault | None:
-    """Return the first invalid value that was written, at the line of its last write."""
+    """Return a Fault for the first invalid value that an event wrote; None if all values are valid.
+
+    The Fault names the line of the value's last write."""
     for name, bound in program.bounds.items():
         if name not in found:
             continue
@@ -366,18 +372,18 @@ def _refused(
 
 
 def _flaw(bound: Bound, value: Any) -> str:
-    """Return the flaw of a value that would be kept or sent; "" if there is none.
+    """Return a description of a value that no robot may keep or send; "" if the value is valid.
 
-    Locals are checked like all others: NaN never outlives its event, and an int that is squared every round would soon
-    block the robot."""
+    Local variables are checked like shared variables. So no variable is NaN after an event, and no int can grow in each
+    round until it blocks the robot."""
     flaw = bound.flaw(value)
     return flaw or ("" if transmissible(value) else f"{reprlib.repr(value)}, which no robot may use")
 
 
 def wrong_first_value(program: Program) -> str | None:
-    """Return which variable has an invalid initial value; None if all are valid.
+    """Return a message about the first variable with an invalid initial value; None if all initial values are valid.
 
-    The compiler refuses such initial values, too; an agent does not rely on it."""
+    The compiler refuses invalid initial values too, but an agent does not rely on this."""
     for variable in (*program.locals, *program.shared):
         flaw = _flaw(variable.bound, variable.initial())
         if flaw:
@@ -388,7 +394,7 @@ def wrong_first_value(program: Program) -> str | None:
 def _fault(program: Program, error: Exception) -> Fault:
     line = 0
     trace = error.__traceback__
-    while trace is not None:  # the innermost frame of the generated file is the failing statement
+    while trace is not None:  # the innermost frame in the generated file has the line that failed
         if Path(trace.tb_frame.f_code.co_filename) == Path(program.file):
             line = program.lines.get(trace.tb_lineno, line)
         trace = trace.tb_next
@@ -398,4 +404,4 @@ def _fault(program: Program, error: Exception) -> Fault:
     return Fault(program.source, line, reason, error.contract if isinstance(error, BadExtern) else None)
 
 
-Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # calls of callable ports: port, arguments, answer
+Calls = tuple[tuple[str, tuple[Any, ...], Any], ...]  # port, arguments and answer of each call of a callable port

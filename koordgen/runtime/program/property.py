@@ -1,7 +1,8 @@
-"""Base of a generated `properties.py`: a program's properties, evaluated on values of one time.
+"""Classes that a generated `properties.py` uses to evaluate the properties of a program on values of one time.
 
-The caller provides the values. The simulator provides the true values, a monitor on a robot the values that the robot
-knows. An unknown value is UNKNOWN. A property that depends on an unknown value is "unknown", never "held"."""
+The caller provides the values. The simulator provides the true values. A monitor on a robot provides the values that
+the robot knows, and UNKNOWN for every other value. A property that depends on an unknown value is "unknown", never
+"held"."""
 
 from __future__ import annotations
 
@@ -18,8 +19,9 @@ from koordgen.runtime.values.turns import begin
 
 T = TypeVar("T")
 Outcome = Literal["held", "violated", "no value", "unknown"]
-LONGEST = 300  # characters of a reason
-# Sensors of a vehicle that a simulator can measure itself, with their types. Only the robot knows the others.
+LONGEST = 300  # largest number of characters in the reason for a verdict; longer reasons are cut
+
+# Sensors whose true values a simulator knows, with their types. Only the robot knows the values of other sensors.
 MEASURED = {"position": Point, "velocity": Point, "pose": Pose}
 
 
@@ -32,15 +34,17 @@ UNKNOWN: Final = _Unknown()
 
 
 class Unknown(Exception):
-    """An unknown value was read. The message names it; `robot` is its owner, -1 for none."""
+    """Raised when a formula reads an unknown value. The message names the value.
+
+    `robot`: pid of the robot that knows the value; -1 if it belongs to no robot."""
 
     def __init__(self, what: str, robot: int = -1) -> None:
         super().__init__(what)
         self.robot = robot
 
 
-class Bound(NamedTuple):
-    """Value of a quantified name; `robot`: the value is a robot's pid."""
+class BoundName(NamedTuple):
+    """Value of a name that a quantifier binds. `robot`: True if the value is a robot's pid."""
 
     name: str
     value: Any
@@ -48,18 +52,20 @@ class Bound(NamedTuple):
 
 
 class Read(NamedTuple):
-    """A value that was read; `robot` is its owner, None for an allwrite variable."""
+    """Value that a formula read. `robot`: pid of the robot that owns the value; None for an allwrite variable."""
 
     name: str
     robot: int | None
     value: Any
 
 
-Trail = list[Bound | Read]
+Trail = list[BoundName | Read]
 
 
 class Each(Generic[T]):
-    """A port, local variable or allread variable of every robot, by pid. The caller sets `values`."""
+    """Port, local variable or allread variable with one value for each robot.
+
+    The caller sets `values`, in the order of the robots' pids."""
 
     __slots__ = ("_trail", "name", "values")
 
@@ -80,12 +86,12 @@ class Each(Generic[T]):
 
     @property
     def all(self) -> tuple[T, ...]:
-        """Values of all robots, by pid."""
+        """Values of all robots, in the order of their pids."""
         return tuple([self[robot] for robot in range(len(self.values))])
 
 
 class One(Generic[T]):
-    """An allwrite variable; in an assumption, a port of its robot."""
+    """Allwrite variable; in an assumption, a port of the robot that the assumption is about."""
 
     __slots__ = ("_trail", "content", "name")
 
@@ -105,11 +111,11 @@ class One(Generic[T]):
 
 
 class Known:
-    """Known values at one time.
+    """Known values at one time, under the names that they have in the program.
 
-    They have their names in the program; in an assumption, ports of its one robot, and primed names for the time after.
-    `pid` is that robot, or the robot whose knowledge it is (-1: nobody's alone). A trail records why a formula was
-    false: the bound names, outermost first, and the values read."""
+    For an assumption, the values are the ports of one robot, and a primed name is the value after the step. `pid`: this
+    robot, or the robot that knows the values; -1 if the values are not one robot's knowledge. `trail`: explains why a
+    formula was false. It lists the values of quantified names, the outermost first, and the values that were read."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         self.n_sys = n_sys
@@ -126,28 +132,30 @@ class Known:
         return self.one.setdefault(name, One(name, self._trail))
 
     def put(self, values: Mapping[str, Any]) -> None:
-        """Set values by name; names that no formula reads are ignored."""
+        """Set values (name -> value). A name that no formula reads is ignored."""
         for name, value in values.items():
             if name in self.each:
                 self.each[name].values = value
             elif name in self.one:
                 self.one[name].content = value
 
-    def take(self, other: Known) -> None:
-        """Copy all values of another object."""
+    def copy_from(self, other: Known) -> None:
+        """Copy all values from another Known."""
         self.pid, self.asked = other.pid, other.asked
         self.put({name: each.values for name, each in other.each.items()})
         self.put({name: one.content for name, one in other.one.items()})
 
     def answer(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Return the recorded answer of a callable port. Raises Unknown if it was not called so."""
+        """Return the recorded answer of a callable port. Raises Unknown if no recorded call has these arguments."""
         for name, given, answer in self.asked:
             if name == port and given == args:
                 return answer
         raise Unknown(f"{port}: not called with these arguments")
 
     def every(self, name: str, domain: Iterable[T], body: Callable[[T], bool], robots: bool = True) -> bool:
-        """Evaluate forall: false if false for any value; otherwise unknown if unknown for any."""
+        """Evaluate a forall over `domain`: False if `body` is false for a value, otherwise True.
+
+        Raises Unknown if `body` is unknown for some values and true for all others."""
         trail, unknown, mark = self._trail, None, 0
         for value in domain:
             if trail is not None:
@@ -155,7 +163,7 @@ class Known:
             try:
                 if not body(value):
                     if trail is not None:
-                        trail.insert(mark, Bound(name, value, robots))
+                        trail.insert(mark, BoundName(name, value, robots))
                     return False
             except Unknown as found:
                 unknown = unknown or found
@@ -166,15 +174,20 @@ class Known:
         return True
 
     def own(self, name: str, body: Callable[[int], bool]) -> bool:
-        """Evaluate forall over robots by one robot (`pid`), which knows only its own values."""
+        """Evaluate a forall over all robots on the robot `pid`, which knows only its own values.
+
+        Raises Unknown if `body` is true for this robot and the fleet has other robots, whose values are unknown. If no
+        single robot knows the values (`pid` -1), `body` is evaluated for all robots."""
         if self.pid < 0 or self.n_sys == 1:
             return self.every(name, range(self.n_sys), body)
         if self.every(name, (self.pid,), body):
-            raise Unknown(f"{name}: what the other robots know")
+            raise Unknown(f"{name}: values of the other robots")
         return False
 
     def some(self, name: str, domain: Iterable[T], body: Callable[[T], bool], robots: bool = True) -> bool:
-        """Evaluate exists: true for the first value that makes it true."""
+        """Evaluate an exists over `domain`: True if `body` is true for a value, otherwise False.
+
+        Raises Unknown if `body` is unknown for some values and false for all others."""
         unknown, mark = None, 0 if self._trail is None else len(self._trail)
         for value in domain:
             try:
@@ -191,22 +204,25 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """A property of the program.
+    """Invariant or `initially` property of a program.
 
-    `reads`: names of ports, locals and shared variables in its formula. `surely`: screening, a vectorised sufficient
-    condition over arrays of many observations; None if there is none."""
+    `reads`: names of the ports, local variables and shared variables that the formula reads. `screening`: a
+    vectorised sufficient condition on arrays of many observations; None if the property has none."""
 
     kind: Literal["initially", "invariant"]
     name: str
     line: int
     holds: Callable[[Any], bool]
     reads: tuple[str, ...]
-    surely: Callable[[Any], Any] | None = None
+    screening: Callable[[Any], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
-    """A call pattern in an assumption with goals: port, number of arguments, goal names by argument index."""
+class GoalCall:
+    """Pattern of a call in an assumption with goals.
+
+    `port`: name of the callable port. `arguments`: number of arguments. `goals`: index of an argument -> name of the
+    goal."""
 
     port: str
     arguments: int
@@ -215,27 +231,28 @@ class Asking:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """An assumption about every robot with the module.
+    """Assumption about the ports of a module, for every robot that has the module.
 
-    With goals, it must hold for all calls made. `surely`: screening as in Property, for all robots at once."""
+    An assumption with `goals` must hold for all recorded calls. `screening`: a vectorised sufficient condition on
+    arrays for all robots; None if the assumption has none."""
 
     module: str
     line: int
     holds: Callable[..., bool]
     reads: tuple[str, ...]
-    goals: tuple[Asking, ...] = ()
-    surely: Callable[[Any], Any] | None = None
+    goals: tuple[GoalCall, ...] = ()
+    screening: Callable[[Any], Any] | None = None
 
     def holds_of_calls(self, known: Known) -> bool:
-        """Return whether it holds for each combination of goals called; true without calls."""
+        """Return whether the assumption holds for each combination of recorded calls; True without calls."""
         return all(self.holds(known, **goals) for goals in _asked_for(self.goals, known.asked, {}))
 
     def asked(self, known: Known) -> bool:
-        """Return whether there is any call that it is about."""
+        """Return whether the assumption applies to at least one combination of recorded calls."""
         return any(True for _ in _asked_for(self.goals, known.asked, {}))
 
 
-def _asked_for(patterns: tuple[Asking, ...], asked: Calls, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _asked_for(patterns: tuple[GoalCall, ...], asked: Calls, known: dict[str, Any]) -> Iterator[dict[str, Any]]:
     if not patterns:
         yield known
         return
@@ -249,7 +266,7 @@ def _asked_for(patterns: tuple[Asking, ...], asked: Calls, known: dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Unchecked:
-    """A formula that cannot be evaluated, with the reason."""
+    """Formula of a program that cannot be evaluated, with the reason `why`."""
 
     kind: str
     name: str
@@ -261,8 +278,9 @@ class Unchecked:
 class Properties:
     """All properties of a program.
 
-    `fleet` and `step` create the known values for properties and for assumptions, for a fleet of this size. `measured`:
-    sensors that measure the vehicle's motion, so a simulator can use the true values."""
+    `fleet`, `step`: create the Known that properties and assumptions are evaluated on, from the number of robots and a
+    trail. `measured`: sensors that measure the vehicle's motion; a simulator can replace their values by true values.
+    """
 
     program: Program
     fleet: Callable[[int, Trail | None], Known]
@@ -274,10 +292,10 @@ class Properties:
 
 
 def properties_of(root: Path, program: Program, driven: Collection[str] = ()) -> Properties:
-    """Return the properties of the bundle at `root`, from which `program` was imported.
+    """Return the properties of the program in the bundle at `root`, from which `program` was imported.
 
-    `driven`: modules served by the user's own drivers. A bundle of a program without properties has no file for
-    them."""
+    If the program has no properties, the bundle has no file properties.py. `driven`: modules that the user's drivers
+    serve."""
     if not (root / "properties.py").is_file():
         return without_properties(program, driven)
     found: Properties = importlib.import_module("properties").PROPERTIES
@@ -285,7 +303,7 @@ def properties_of(root: Path, program: Program, driven: Collection[str] = ()) ->
 
 
 def without_properties(program: Program, driven: Collection[str] = ()) -> Properties:
-    """Return the properties of a program without any: only `measured` is set."""
+    """Return a Properties for a program without properties, in which only `measured` is set."""
     measured = []
     for port in program.ports:
         module, _, name = port.name.partition(".")
@@ -295,12 +313,14 @@ def without_properties(program: Program, driven: Collection[str] = ()) -> Proper
 
 
 def judged(holds: Callable[[Known], bool], known: Known) -> tuple[Outcome, str]:
-    """Evaluate a formula. Return its verdict, and why it has no value or which value is unknown."""
+    """Evaluate a formula on known values. Return the verdict and its reason.
+
+    The reason explains why the formula has no value, or names the unknown value; otherwise it is ""."""
     begin()
     try:
         return ("held" if holds(known) else "violated"), ""
     except Unknown as unknown:
         return "unknown", str(unknown)
-    except Exception as error:  # whatever the user's functions raise
+    except Exception as error:  # the user's functions may raise any exception
         reason = str(error) or type(error).__name__
         return "no value", reason if len(reason) <= LONGEST else f"{reason[:LONGEST]} ..."

@@ -1,4 +1,4 @@
-"""Runner of one robot's program: its locals, and one event at a time, within a time limit."""
+"""Runner of one robot's program: keeps the local variables, and runs one event at a time within a time limit."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import msgspec
 from koordgen.runtime.program.program import Effects, Event, Fault, Frame, Program, choose, run
 from koordgen.runtime.values.clock import Clock
 
-# Reasons for which a robot skips a round: the same names in logs, traces, --status, summaries and reports.
+# Reasons for which a robot skips a round. Logs, traces, --status, summaries and reports use these names.
 #
-# A reason is a name, or `NAME: detail`. docs/reference/cli.md and `koordgen explain skip` list the names.
+# A reason is `NAME` or `NAME: detail`. docs/reference/cli.md and `koordgen explain skip` list all names.
 
 NO_EVENT = "no event enabled"
 FAULT = "fault"
@@ -35,12 +35,12 @@ NAMES = (
 
 
 def name_of(reason: str) -> str:
-    """Return the name of a reason, without its detail."""
+    """Return the name of a reason for a skipped round, without the detail behind the colon."""
     return reason.partition(":")[0]
 
 
 LATE = "not finished by the round's publish deadline"
-INIT_TIME = 1.0  # seconds that `init` may take
+INIT_TIME = 1.0  # largest duration of `init` in seconds
 
 Limit = Callable[[float], AbstractContextManager[None]]
 Call = Callable[[str, tuple[Any, ...]], Any]
@@ -49,28 +49,28 @@ Call = Callable[[str, tuple[Any, ...]], Any]
 class Overrun(BaseException):
     """Raised in an event that has used up its time.
 
-    `except Exception` in an extern function does not catch it."""
+    It is a BaseException, so `except Exception` in an extern function does not catch it."""
 
 
 class EndedAtOnce(BaseException):
-    """Raised anywhere in the process when the user ends it at once.
+    """Raised anywhere in the agent's process when the user ends the process immediately.
 
-    Not KeyboardInterrupt: user code may raise that."""
+    KeyboardInterrupt is not used, because user code may raise it."""
 
 
 _UNLIMITED = nullcontext()
 
 
 def unlimited(seconds: float) -> AbstractContextManager[None]:
-    """Set no limit: an event that takes too long is detected only at its end."""
+    """Return a context manager without a time limit. An event that takes too long is detected only at its end."""
     return _UNLIMITED
 
 
 class Interrupting:
-    """Context manager that interrupts its block after `seconds` (raises Overrun), by the real-time timer.
+    """Context manager that raises Overrun in its block after a number of seconds of real time.
 
-    It ensures that an endless loop does not block the robot's control loop. Make only one object per process, in the
-    main thread, where signals arrive; it uses SIGALRM until the process ends."""
+    So an endless loop cannot block the robot's control loop. Create only one object in a process, in the main thread,
+    where signals arrive. The object uses SIGALRM until the process ends."""
 
     def __init__(self) -> None:
         self._armed = False
@@ -83,8 +83,8 @@ class Interrupting:
 
     def __enter__(self) -> None:
         self._armed = True
-        try:  # the timer may already ring here
-            # Repeat it, in case a bare `except` catches the first.
+        try:  # the signal may already arrive in this block
+            # The timer repeats the signal, because a bare `except` may catch the first Overrun.
             signal.setitimer(signal.ITIMER_REAL, self._seconds, 0.05)
         except BaseException:
             self.__exit__()
@@ -95,16 +95,17 @@ class Interrupting:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _ring(self, number: int, frame: FrameType | None) -> None:
-        # During __exit__ nothing may prevent turning the timer off.
+        # A signal during __exit__ raises nothing, because __exit__ must turn the timer off.
         over = frame is not None and frame.f_code is Interrupting.__exit__.__code__
         if self._armed and not over:
             raise Overrun("out of time")
 
 
-class Outcome(msgspec.Struct, frozen=True):
-    """Result of a round: no event enabled (all None), an event's effects, or a fault without effects.
+class EventResult(msgspec.Struct, frozen=True):
+    """Result of a round: the effects of an event, or a fault without effects, or no event (all fields None).
 
-    `lock`: lock of an atomic event, whose effects count once its commit has won; -1 for a plain event."""
+    `lock`: index of the lock of an atomic event, whose effects count as soon as its transaction has won the lock; -1
+    for an event that is not atomic."""
 
     event: str | None = None
     effects: Effects | None = None
@@ -113,7 +114,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 class Runner:
-    """Runner of one program on one robot. The caller updates `locals` once an event counts."""
+    """Runner of one program on one robot. The caller updates `locals` when the effects of an event count."""
 
     def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
         self.program = program
@@ -129,7 +130,7 @@ class Runner:
         return Frame(self._pid, self._n_sys, self.locals, shared, sensors, actuators, call)
 
     def init(self, frame: Frame) -> Effects | Fault:
-        """Run the program's `init`, if it has one."""
+        """Run the program's `init` and set `locals`. A program without `init` has no effects."""
         if self.program.init is None:
             return Effects(self.locals, {}, {}, False)
         try:
@@ -141,10 +142,10 @@ class Runner:
             self.locals = done.locals
         return done
 
-    def step(self, frame: Frame, deadline: float) -> Outcome:
-        """Choose and run this round's event, the first enabled one.
+    def step(self, frame: Frame, deadline: float) -> EventResult:
+        """Run the first enabled event of the program as the event of this round.
 
-        An event that is not finished by `deadline` (local time) is discarded completely."""
+        An event that is not finished by `deadline` (local time in seconds) is discarded as a whole."""
         event: Event | None = None
         done: Effects | Fault
         try:
@@ -152,16 +153,16 @@ class Runner:
                 state = self.program.begin(frame)
                 chosen = choose(self.program, state)
                 if chosen is None:
-                    return Outcome()
+                    return EventResult()
                 if isinstance(chosen, Fault):
-                    return Outcome(fault=chosen)
+                    return EventResult(fault=chosen)
                 event = chosen
                 done = run(self.program, event.effect, state, event.line)
         except Overrun:
             done = Fault(self.program.source, event.line if event else 0, LATE)
         name = event.name if event else None
         if isinstance(done, Fault):
-            return Outcome(name, fault=done)
+            return EventResult(name, fault=done)
         if self._clock.now() > deadline:
-            return Outcome(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
-        return Outcome(name, done, lock=-1 if event is None or event.lock is None else event.lock)
+            return EventResult(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
+        return EventResult(name, done, lock=-1 if event is None or event.lock is None else event.lock)

@@ -8,7 +8,7 @@ The protocol in ten minutes
 ===========================
 
 Rounds and entries. Time is divided into rounds of `delta` seconds on a clock that all robots share. In each round a
-robot runs at most one event, and then sends one *entry* to all others: what the event wrote, or that it wrote nothing.
+robot runs at most one event, and then sends one *entry* to all others: the values that the event wrote, if any.
 Each robot keeps one log of entries for each robot, itself included (`log`).
 
 Store. S_r is the shared store at the beginning of round r. A robot applies round r when it holds the entries of round r
@@ -19,20 +19,20 @@ that costs time and never changes the meaning of a program.
 
 Locks. An event that contains `atomic` names a lock in its entry. There are no lock messages: all robots see the same
 entries of a round and find the same winner, the contender with the least (pid - round - lock) mod N. The events of the
-other contenders did not happen; their robots learn that when they apply the round.
+other contenders do not count; their robots find that out when they apply the round.
 
 Progress and commit. Every message reports how far its sender has applied (`progress`). A round is *committed* once a
-majority of all N robots has reported it as applied. Every later view is made by a majority, two majorities share a
-robot, so no later view leaves out a committed round. Outputs (commands to actuators, lines to streams) wait until their
-round is committed: a robot never acts on an event that the fleet forgets (output commit). A round that every member
-holds is *settled*, and its entries are dropped. For each robot:
+majority of all N robots has reported it as applied. A majority decides every later view, and two majorities share
+a robot. So no later view leaves out a committed round. Outputs (commands to actuators, lines to streams) wait until
+their round is committed: a robot never acts on an event that the fleet forgets (output commit). A round that every
+member holds is *settled*, and its entries are dropped. For each robot:
 
     settled <= committed <= applied <= last own entry
 
-Retransmission. A round message that reports less than the receiver holds is answered with what is missing, and a robot
-that misses entries asks for them (NACK): their author, and one robot that may hold them. Any robot may carry any
-other's entries. A fleet that is late must not spend its time on requests, so late and lost entries are told apart
-(`retransmission`).
+Retransmission. A robot that receives a round message sends back the entries that the message reports as missing. A
+robot that misses entries also requests them (NACK), from their author and from one robot that may hold them. Any robot
+may send entries of any other robot. A fleet that is late must not spend its time on requests, so late and lost entries
+are distinguished (`retransmission`).
 
     0      1      2          round 7: the entry of robot 1 does not reach robot 2
     |--e7->|      |
@@ -69,8 +69,8 @@ later rounds can be committed. `schedule` says which view counts in which round 
 being applied.
 
 Rejoin. A robot that is no member, or has lost its store, asks to be admitted. The next view gives it a new incarnation.
-From then on it sends silent entries, so that nobody waits for it, and fetches a snapshot of the store, in fragments,
-from one member at a time (`rejoin`). So does a member that lacks entries which no robot has any more.
+From then on it sends silent entries, so that no other robot waits for it, and fetches a snapshot of the store, in
+fragments, from one member at a time (`rejoin`). A member also rejoins if it lacks entries that no other robot has.
 
 Persistence. Some facts must survive the process, or a restarted robot could contradict itself: its latest view, the
 last round that it reported as applied, its promise and its vote (`messages.HardState`), and its own variables after
@@ -84,14 +84,14 @@ How the code is used
     replica.step(message)              a message arrived
     replica.tick(tick)                 time has passed
     replica.propose(round, writes)     the robot's event has ended
-    replica.apply_rounds()             apply what is complete
-    ready = replica.ready()            what is to be done now:
+    replica.apply_rounds()             apply the rounds whose entries have arrived
+    ready = replica.ready()            get the work that results:
         persist(ready.persist)           1. to disk
         send(ready.send)                 2. to the network
         act_on(ready.apply)              3. new rounds are applied, and some are committed
 
-`Driver` does this, and is the only place that persists and sends. So the rule "persist before send" stands once, and a
-test can run a fleet of replicas in one process, with time, network and disk in its own hands (tests/model,
+`Driver` makes these calls, and only `Driver` persists and sends. So the rule "persist before send" is in one place. A
+test can run a fleet of replicas in one process with simulated time, network and disk (tests/model,
 tests/runtime/replication/scenarios). `docs/explanation/shared-memory.md` has guarantees, figures and limits,
 `docs/reference/wire.md` the wire format.
 

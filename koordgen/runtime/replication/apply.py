@@ -1,4 +1,6 @@
-"""Apply the entries of one round to the shared store: lock arbitration and merge, equal on all robots."""
+"""Application of one round's entries to the shared store: lock arbitration, then merge of the writes.
+
+The result depends only on the entries and the store, so all robots compute the same store."""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ Store = Mapping[str, Any]
 
 
 def winner(contenders: Sequence[int], lock: int, round_: int, n_sys: int) -> int:
-    """Return the robot whose transaction counts, among the robots that contend for a lock in a round.
+    """Return the winner of a lock: the one robot, of those that contend for it, whose transaction counts.
 
     Priority rotates every round, so no robot starves.
     """
@@ -31,10 +33,10 @@ def arbitrate(entries: Sequence[Logged], round_: int, n_sys: int) -> tuple[list[
 
 
 def merge(layout: Layout, entries: Sequence[Logged], shared: Store, acted: list[int]) -> tuple[Store, list[int], int]:
-    """Return the store with the writes of these entries, in their order.
+    """Apply the writes of `entries` in order. Return the store, `acted` and the number of bad patches.
 
-    The second result is `acted`, updated: for each robot the last round in which its event counted. It is a new list if
-    one of the rounds changes. The third is the number of patches that fit no value; every robot ignores them alike.
+    acted: for each robot, the last round in which its event counted. The result is a new list if a round changes.
+    A bad patch does not fit the value that it changes. Every robot ignores the same bad patches.
     """
     before, after, unfit = acted, acted, 0
     is_slots = layout.is_slots

@@ -1,7 +1,7 @@
-"""Driver of a replica: passes messages and ticks to it, and persists and sends what it returns.
+"""Driver of a replica: passes messages and ticks to the replica, then persists and sends its output.
 
-This is the only place that persists and sends. It always persists first, so that a restarted process never contradicts
-a message that was sent.
+Only the driver persists hard states and sends replica messages. It persists before it sends, so that a restarted
+process never contradicts a message that was sent.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from koordgen.runtime.replication.replica import Replica
 
 
 class Sender(Protocol):
-    """See `net.sender.MessageSender`."""
+    """The methods of `net.sender.MessageSender` that a driver calls."""
 
     def round(self, to: Sequence[int], fields: tuple[Any, ...], received: Mapping[int, HeldFragments]) -> None: ...
 
-    def say(self, to: Collection[int], kind: type[Any], *fields: Any) -> None: ...
+    def send(self, to: Collection[int], kind: type[Any], *fields: Any) -> None: ...
 
 
 class Counters(Protocol):
-    """See `net.metrics.Metrics`."""
+    """The methods of `net.metrics.Metrics` that a driver calls."""
 
     def repeated(self, pid: int) -> None: ...
 
 
 class Outlet(Protocol):
-    """The part of `net.link.Link` that a driver needs."""
+    """The properties and methods of `net.link.Link` that a driver uses."""
 
     @property
-    def speech(self) -> Sender: ...
+    def sender(self) -> Sender: ...
 
     @property
     def metrics(self) -> Counters: ...
@@ -43,9 +43,9 @@ class Outlet(Protocol):
 class Driver:
     """Driver of one replica.
 
-    persist: writes a hard state.
-    persist_private: writes the robot's private variables after an event.
-    Both return only after the data are safe from a crash of the process.
+    persist: function that writes a hard state.
+    persist_private: function that writes the robot's private variables after an event.
+    Both functions return only after the data are safe from a crash of the process.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Driver:
         persist_private: Callable[[Any], None],
     ) -> None:
         self.replica = replica
-        self._link, self._speech = link, link.speech
+        self._link, self._sender = link, link.sender
         self._persist, self.persist_private = persist, persist_private
 
     def receive(self, messages: Sequence[ReplicaMessage]) -> None:
@@ -68,12 +68,12 @@ class Driver:
         self.flush()
 
     def tick(self, tick: int) -> None:
-        """See Replica.tick."""
+        """Pass a tick to the replica, and do the work that results."""
         if self.replica.tick(tick):
             self.run()
 
     def run(self) -> None:
-        """Persist and send, then apply complete rounds. Sending comes first, because other robots wait for it."""
+        """Persist and send, then apply complete rounds. Messages go first, because other robots wait for them."""
         self.flush()
         if self.replica.apply_rounds():
             self.flush()
@@ -87,9 +87,9 @@ class Driver:
             self._persist(ready.persist)
         for send in ready.send:
             if send.kind is RoundMessage:
-                self._speech.round(send.to, send.fields, send.received)
+                self._sender.round(send.to, send.fields, send.received)
             else:
-                self._speech.say(send.to, send.kind, *send.fields)
+                self._sender.send(send.to, send.kind, *send.fields)
         for reason in ready.rejected:
             self._link.reject(reason)
         for pid in ready.requested:

@@ -13,7 +13,7 @@ class FailureDetector:
     """Failure detector for a fleet of `n_sys` robots. Silence before round `round_` does not count."""
 
     def __init__(self, n_sys: int, round_: int) -> None:
-        self._since = [round_] * n_sys  # for each robot, the round from which on its silence counts
+        self._since = [round_] * n_sys  # for each robot, the first round in which silence of the robot counts
 
     def restart(self, pid: int, round_: int) -> None:
         """Count the silence of a robot only from `round_` on, because its membership has changed."""
@@ -22,7 +22,7 @@ class FailureDetector:
     def restart_all(self, round_: int) -> None:
         """Count the silence of all robots only from `round_` on.
 
-        Called while this robot hears no majority, because silence may then be this robot's own network failure.
+        Called while this robot hears no majority: its own network may have failed, so others' silence proves nothing.
         """
         self._since = [round_] * len(self._since)
 

@@ -1,7 +1,7 @@
-"""Log of one robot's entries: contiguous up to `held`, with some more behind a gap.
+"""Log of one robot's entries: complete up to round `held`, with some later entries behind a gap.
 
-An entry ends one or more rounds of its author: rounds in which an event ran have one entry each, adjacent silent rounds
-share one. So the log of a robot that is silent for hours is one entry.
+An entry ends one or more rounds of its author. Each round with an event has an entry of its own. Adjacent rounds
+without an event share one silent entry, so the log of a robot that is silent for hours is one entry.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import msgspec
 from koordgen.runtime.net.wire import Entry, Write
 
 MOST_BEHIND_GAP = 64  # largest number of one author's entries kept while an earlier entry is missing
-# Largest number of entries per author that refer to the memory of their datagram. Copying it costs time, and most
-# entries are dropped soon; later entries are copied, so that not every datagram stays in memory.
+
+# Largest number of kept entries per author whose writes are not copied out of their datagram. A copy costs time, and
+# most entries are dropped soon. Further entries are copied, so that they do not keep their datagrams in memory.
 MOST_SHARING = 8
 
 Values = Sequence[tuple[int, Any]]
@@ -33,27 +34,27 @@ class Logged:
 
     @property
     def is_single(self) -> bool:
-        """True if the author did something; such an entry covers exactly one round."""
+        """True if the entry is not silent. An entry that is not silent covers exactly one round."""
         return not is_silent(self.entry)
 
 
 def is_silent(entry: Entry) -> bool:
-    """Return whether the author did nothing in the entry's rounds."""
+    """Return whether an entry is silent: its author ran no event, wrote nothing and contended for no lock."""
     return not (entry.writes or entry.acted or entry.lock >= 0)
 
 
 def shortened(entry: Entry, last: int) -> Entry:
-    """Return the entry up to round `last`."""
+    """Return a copy of the entry that ends with round `last`."""
     return msgspec.structs.replace(entry, round=last)
 
 
 def _from(entry: Entry, first: int) -> Entry:
-    """Return the entry without the rounds before `first`."""
+    """Return the entry without its rounds before `first`."""
     return entry if entry.first >= first else msgspec.structs.replace(entry, first=first)
 
 
 def _detached(entry: Entry) -> Entry:
-    """Return the entry with a copy of its writes, so that it does not keep a whole datagram alive."""
+    """Return the entry with a copy of its writes, so that the entry does not keep its datagram in memory."""
     if not entry.writes:
         return entry
     writes = tuple([Write(w.index, msgspec.Raw(bytes(w.value)), w.patch) for w in entry.writes])
@@ -61,7 +62,7 @@ def _detached(entry: Entry) -> Entry:
 
 
 def _merged(before: Entry, entry: Entry) -> Entry | None:
-    """Return two silent entries as one, or None if they are not silent and adjacent."""
+    """Merge two adjacent silent entries into one. Return None if they cannot be merged."""
     if before.round != entry.first - 1 or not is_silent(before) or not is_silent(entry):
         return None
     if before.stopped != entry.stopped or before.incarnation != entry.incarnation:
@@ -69,13 +70,12 @@ def _merged(before: Entry, entry: Entry) -> Entry | None:
     return msgspec.structs.replace(before, round=entry.round, stopped=entry.stopped)
 
 
-class Log:
+class EntryLog:
     """Log of one robot's entries.
 
-    held: all entries up to this round have arrived; some may have been dropped since.
-    kept: entries up to `held` that some member may still need, in ascending order and without a gap; the last one ends
-        at `held`.
-    later: entries behind a gap, by their first round. Invariant: each begins after held + 1.
+    held: last round up to which all entries have arrived. Some of them may have been dropped since.
+    kept: entries that some member may still need, ascending and without a gap. The last entry ends at `held`.
+    later: first round -> entry behind a gap. Invariant: first round > held + 1.
     """
 
     __slots__ = ("held", "kept", "later")
@@ -86,13 +86,13 @@ class Log:
         self.later: dict[int, Logged] = {}
 
     def has_room(self, first: int) -> bool:
-        """Return whether an entry that begins at round `first` may be kept."""
+        """Return whether the log has room for an entry that begins at round `first`."""
         return first <= self.held + 1 or len(self.later) < MOST_BEHIND_GAP
 
     def append(self, entry: Entry, values: Values) -> None:
-        """Keep an entry that ends after `held`."""
+        """Add an entry to the log. Precondition: the entry ends after round `held`."""
         if entry.first == self.held + 1 and entry.acted and not self.later and len(self.kept) < MOST_SHARING:
-            self.kept.append(Logged(entry, values))  # by far the most frequent case, so it is tested first
+            self.kept.append(Logged(entry, values))  # most entries arrive in order: this case is tested first
             self.held = entry.round
             return
         if len(self.kept) >= MOST_SHARING or entry.first > self.held + 1:
@@ -107,7 +107,7 @@ class Log:
             self.later[entry.first] = Logged(entry, values)
 
     def _extend(self, logged: Logged) -> None:
-        """Keep an entry that begins no later than held + 1."""
+        """Add an entry to `kept`. Precondition: the entry begins at or before round held + 1."""
         entry = _from(logged.entry, self.held + 1)
         merged = _merged(self.kept[-1].entry, entry) if self.kept else None
         if merged is not None:
@@ -117,7 +117,7 @@ class Log:
         self.held = entry.round
 
     def _close_gap(self) -> None:
-        """Move entries that are no longer behind a gap."""
+        """Move entries from `later` to `kept` if no gap is left before them."""
         while self.later:
             first = min(self.later)
             if first > self.held + 1:
@@ -127,7 +127,7 @@ class Log:
                 self._extend(logged)
 
     def at(self, round_: int) -> Logged:
-        """Return the entry of a round that is held and was not dropped."""
+        """Return the entry that covers round `round_`. Precondition: the entry is in `kept`."""
         kept = self.kept
         last = kept[-1]
         if last.entry.first <= round_ <= last.entry.round:
@@ -135,12 +135,12 @@ class Log:
         return kept[bisect_left(kept, round_, key=lambda logged: logged.entry.round)]
 
     def between(self, low: int, high: int) -> list[Entry]:
-        """Return the entries of rounds `low` to `high` that are held and were not dropped."""
+        """Return the kept entries that cover rounds from `low` to `high`, without rounds before `low`."""
         begin = bisect_left(self.kept, low, key=lambda logged: logged.entry.round)
         return [_from(logged.entry, low) for logged in self.kept[begin:] if logged.entry.first <= high]
 
     def drop(self, through: int) -> None:
-        """Drop the entries that end by round `through`: every member holds them."""
+        """Drop the entries that end at or before round `through`, because every member holds them."""
         kept = self.kept
         if kept and kept[0].entry.round <= through:
             del kept[: bisect_right(kept, through, key=lambda logged: logged.entry.round)]
@@ -157,6 +157,6 @@ class Log:
         self.held = min(self.held, last)
 
     def skip(self, last: int) -> None:
-        """Count the rounds up to `last` as held. They have no entries, because the author was no member."""
+        """Count the rounds up to `last` as held, although they have no entries: the author was no member."""
         self.held = max(self.held, last)
         self._close_gap()

@@ -1,4 +1,4 @@
-"""Output of the protocol core: what must be persisted, sent and applied, in that order."""
+"""Output of a `Replica`: state to persist, messages to send and progress to act on, in this order."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Vote:
     """A robot's promise and vote on view `number`, as an acceptor of Paxos.
 
     The robot votes in no ballot below `promised`. In ballot `voted` it has voted for `value`.
-    Invariant: voted <= promised. It is persisted, so that a restarted process keeps the promise.
+    Invariant: voted <= promised. The vote is persisted, so that a restarted process keeps the promise.
     """
 
     number: int = 0
@@ -29,13 +29,13 @@ class Vote:
 
 
 class HardState(msgspec.Struct, frozen=True, gc=False):
-    """Facts that a robot must not contradict, also after a restart.
+    """Facts that a robot must not contradict, even after a restart.
 
-    They are persisted before a message that depends on them is sent.
+    The driver persists a hard state before it sends a message that depends on the state.
 
-    view: latest view known to be decided.
+    view: latest view that the robot knows to be decided.
     applied: last round that the robot has reported as applied in `view`, or is about to report.
-    vote: promise and vote on a later view.
+    vote: the robot's promise and vote on a later view.
     """
 
     view: View
@@ -48,8 +48,8 @@ class Send(msgspec.Struct, frozen=True, gc=False):
 
     to: pids of the receivers.
     kind: class of the message in `wire`.
-    fields: its fields without the head. The last field of a RoundMessage holds log entries.
-    received: by author, fragments that the receiver has of an entry longer than a datagram; they are not sent again.
+    fields: fields of the message without the head. The last field of a RoundMessage holds log entries.
+    received: author -> fragments of that author's long entry that the receiver already has; these are not sent again.
     """
 
     to: Sequence[int]
@@ -59,7 +59,7 @@ class Send(msgspec.Struct, frozen=True, gc=False):
 
 
 class Applied(msgspec.Struct, frozen=True, gc=False):
-    """Progress of the store. Invariant: committed <= applied.
+    """Progress of a robot's store. Invariant: committed <= applied.
 
     applied: the store contains all rounds up to this one.
     committed: no later view can discard a round up to this one, so the outputs of these rounds may leave the robot.
@@ -70,14 +70,14 @@ class Applied(msgspec.Struct, frozen=True, gc=False):
 
 
 class Ready(msgspec.Struct, frozen=True, gc=False):
-    """Work for the driver, in this order.
+    """Work for the driver in three steps, in this order.
 
-    1. Persist `persist` and `private`. 2. Send `send`. 3. Apply: act on `apply`.
+    1. Persist `persist` and `private`. 2. Send `send`. 3. Act on the progress in `apply`.
     """
 
     persist: HardState | None = None
-    private: object = None  # the robot's own variables after the event whose entry is in `send`
+    private: object = None  # the robot's private variables after the event whose entry is in `send`
     send: Sequence[Send] = ()
     apply: Applied | None = None
-    rejected: Sequence[str] = ()  # reasons why messages were refused, for the statistics
-    requested: Sequence[int] = ()  # robots whose missing entries were requested, for the statistics
+    rejected: Sequence[str] = ()  # for the statistics: reasons why received messages were refused
+    requested: Sequence[int] = ()  # for the statistics: pids of the robots whose entries were requested

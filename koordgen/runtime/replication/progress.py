@@ -1,6 +1,6 @@
-"""Progress of the peers according to their last reports, and the commit index that follows from it.
+"""Progress of the peers by their last reports, and the commit index computed from these reports.
 
-A report says which rounds its sender has applied, and which entries it still needs."""
+A report says which rounds its sender has applied, and which entries the sender still needs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from koordgen.runtime.net.wire import HeldFragments, View
 
-LONG_AGO = -(2**62)  # a tick
+LONG_AGO = -(2**62)  # a tick before all ticks of a mission
 
 
 def majority(n_sys: int) -> int:
@@ -19,24 +19,24 @@ def majority(n_sys: int) -> int:
 
 @dataclass(slots=True)
 class Progress:
-    """Progress of one peer.
+    """Progress of one peer, as the peer has reported it.
 
-    Its reports only move forward: (view, applied) never decreases within an incarnation."""
+    Invariant: the pair (view, applied) never decreases within an incarnation of the peer."""
 
     heard: int = LONG_AGO  # tick of the last message from the peer
-    view: int = -1  # view of its last report; -1: none since it was admitted
-    applied: int = 0  # the last round that it has reported as applied in that view
-    wanted: int = 0  # the last round whose entries it needs
-    lacks: bool = False  # the peer lacks entries up to `wanted`, and none were sent to it since its report
-    held: Sequence[int] = ()  # at that report: for each author, the last round held; empty: `applied` for all
-    informed: int = -1  # tick at which the present view was last sent to it
-    asked_to_join: int = LONG_AGO  # tick of its last request to be admitted
+    view: int = -1  # view of the peer's last report; -1: no report since the peer was admitted
+    applied: int = 0  # last round that the peer has reported as applied in `view`
+    wanted: int = 0  # last round whose entries the peer needs
+    lacks: bool = False  # the peer has reported missing entries up to `wanted`, and has been sent none since
+    held: Sequence[int] = ()  # for each author, the last round whose entries the peer holds; empty: `applied` for all
+    informed: int = -1  # tick at which this robot last sent the present view to the peer
+    asked_to_join: int = LONG_AGO  # tick of the peer's last request to be admitted
     received: Mapping[int, HeldFragments] = field(
         default_factory=dict
-    )  # by author: fragments that the peer has of the author's next entry
+    )  # author -> fragments of the author's next entry that the peer holds
 
     def reset(self) -> None:
-        """Forget the reports: the peer is no member any more, or has a new incarnation."""
+        """Discard the peer's reports, because the peer was removed or has a new incarnation."""
         self.view, self.applied, self.wanted, self.lacks = -1, 0, 0, False
 
     def report(self, view: int, applied: int, held: Sequence[int], wanted: int, again: bool) -> bool:
@@ -46,7 +46,7 @@ class Progress:
         applied: last round that the peer has applied in that view.
         held: for each author, the last round whose entries the peer holds; empty: `applied` for all.
         wanted: last round whose entries the peer needs.
-        again: the peer repeats its request.
+        again: the report is a request (Nack). The peer then counts as lacking entries even if `wanted` is unchanged.
         """
         moved = view >= self.view and applied >= self.applied and (applied > self.applied or view > self.view)
         if moved:
@@ -57,17 +57,17 @@ class Progress:
         return moved
 
     def holds(self, author: int) -> int:
-        """Return the last round up to which the peer holds the entries of a robot."""
+        """Return the last round up to which the peer holds all entries of robot `author`."""
         return self.held[author] if self.held else self.applied
 
 
 def commit_index(peers: Collection[Progress], view: View, applied: int) -> int:
-    """Return the last committed round: no later view can discard it.
+    """Return the last committed round, which no later view can discard.
 
-    A round is committed if a majority, this robot included, has reported it as applied in `view`, or if it is before
-    the beginning of `view`. Invariant: the result is at most `applied`.
+    A round is committed in two cases: a majority that includes this robot has reported the round as applied in `view`,
+    or the round lies before the beginning of `view`. Invariant: the result is at most `applied`.
     """
-    needed = majority(len(peers) + 1) - 1  # reports of others
+    needed = majority(len(peers) + 1) - 1  # number of other robots whose reports are needed
     if needed == 0:
         return applied
     number = view.number

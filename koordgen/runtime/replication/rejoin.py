@@ -14,7 +14,7 @@ from koordgen.runtime.net.fragments import Reassembly, cut, lacking
 from koordgen.runtime.net.wire import Entry, RejoinRequest, Snapshot, SnapshotFragment, View
 from koordgen.runtime.replication.messages import Send
 
-PATIENCE = 5  # ticks without a new fragment, after which the robot asks another member
+TIMEOUT = 5  # ticks without a new fragment after which the robot asks another member for the snapshot
 MOST_AT_ONCE = 16  # largest number of fragments that answer one request
 SNAPSHOTS = 2  # number of snapshots kept for robots that have begun to fetch them
 
@@ -23,11 +23,11 @@ SNAPSHOTS = 2  # number of snapshots kept for robots that have begun to fetch th
 class Rejoin:
     """State of a robot that rejoins.
 
-    since: number of the view that the robot knew when it was removed.
-    fragments: fragments received of the snapshot that contains all rounds up to `round`.
+    since: number of the latest view that the robot knew when it was removed.
+    fragments: received fragments of the snapshot that contains all rounds up to `round`.
     source: number that selects the member from which the snapshot is fetched.
     arrived: tick of the last new fragment, or of the last change of `source`.
-    silent: entry that closes the rounds since the robot was admitted again, in which it ran no event.
+    silent: entry that closes all rounds since the robot was admitted again; the robot ran no event in them.
     """
 
     pid: int
@@ -39,14 +39,14 @@ class Rejoin:
     silent: Entry | None = None
 
     def incarnation(self, view: View) -> int:
-        """Return the incarnation under which the robot was admitted again; -1 if it was not."""
+        """Return the robot's new incarnation; -1 if no view has admitted the robot again."""
         own = view.members[self.pid]
         return own if own > self.since else -1
 
     def silence(self, round_: int, view: View) -> Entry | None:
-        """Return one silent entry for all rounds since the admission up to `round_`.
+        """Return one silent entry for all rounds from the robot's admission up to `round_`.
 
-        None before the admission.
+        Return None if the robot was not admitted yet.
         """
         incarnation = self.incarnation(view)
         if incarnation < 0 or round_ < view.since:
@@ -56,13 +56,13 @@ class Rejoin:
         return self.silent
 
     def poll(self, tick: int, view: View) -> list[Send]:
-        """Return a request for admission, or, once admitted, for the missing fragments of the snapshot."""
+        """Return a request for admission. Once the robot is admitted, return a request for snapshot fragments."""
         others = [p for p in range(len(view.members)) if p != self.pid]
         incarnation = self.incarnation(view)
         if incarnation < 0:
             return [Send(others, RejoinRequest, (view.number, -1, 0, b"", b""))]
         members = [p for p in others if view.members[p] >= 0]
-        if tick - self.arrived > PATIENCE:
+        if tick - self.arrived > TIMEOUT:
             self.arrived, self.source, self.fragments = tick, self.source + 1, None
         if not members:
             return []
@@ -71,10 +71,10 @@ class Rejoin:
         return [Send([members[self.source % len(members)]], RejoinRequest, (view.number, incarnation, *place))]
 
     def step(self, fragment: SnapshotFragment, tick: int) -> Snapshot | str | None:
-        """Add a fragment. Return the snapshot if complete, a reason if the fragment is refused, else None."""
+        """Add a fragment. Return the snapshot once it is complete, the reason for a refusal, or else None."""
         if self.fragments is None:
             self.fragments, self.round = Reassembly(fragment.digest, fragment.count), fragment.round
-        refused = self.fragments.take((fragment.digest, fragment.index, fragment.count, fragment.data))
+        refused = self.fragments.add((fragment.digest, fragment.index, fragment.count, fragment.data))
         if refused is not None:
             return refused
         self.arrived = tick
@@ -92,15 +92,17 @@ class Snapshots:
         self._room = room
         self._kept: list[tuple[int, list[tuple[bytes, int, int, bytes]]]] = []
 
-    def answer(self, sender: int, want: RejoinRequest, applied: int, take: Callable[[], Snapshot]) -> list[Send]:
-        """Return messages with the fragments that `sender` lacks of the snapshot that it has begun to fetch.
+    def answer(self, sender: int, want: RejoinRequest, applied: int, create: Callable[[], Snapshot]) -> list[Send]:
+        """Return messages with the snapshot fragments that robot `sender` lacks.
 
-        If that snapshot is no longer kept, or `sender` has begun none, a snapshot of the present store is used. The
-        store contains all rounds up to `applied`. `take` creates the snapshot; it is called only if none of that round
-        is kept."""
+        They belong to the snapshot that the robot has begun to fetch. If that snapshot is no longer kept, or the robot
+        has begun none, they belong to a snapshot of the present store.
+
+        applied: last round in the present store.
+        create: function that creates a snapshot; called only if no snapshot of the present store is kept."""
         known = [k for k in self._kept if k[0] == want.round and k[1][0][0] == want.digest]
         if not known and (not self._kept or self._kept[-1][0] != applied):
-            self._kept = [*self._kept[1 - SNAPSHOTS :], (applied, cut(encoder.encode(take()), self._room))]
+            self._kept = [*self._kept[1 - SNAPSHOTS :], (applied, cut(encoder.encode(create()), self._room))]
         round_, fragments = known[0] if known else self._kept[-1]
         wanted: Sequence[int] = lacking(len(fragments), want.mask if known else b"")
         return [Send((sender,), SnapshotFragment, (round_, *fragments[index])) for index in wanted[:MOST_AT_ONCE]]

@@ -1,7 +1,8 @@
 """Replica: one robot's part in the protocol, as a pure state machine.
 
-Inputs are messages (`step`), time (`tick`) and the robot's own rounds (`propose`); `ready` returns what is to be
-persisted, sent and applied. There is no clock, network, disk or randomness here; `driver` has them.
+Inputs are messages (`step`), time (`tick`) and the robot's own rounds (`propose`). `ready` returns the work that
+results: data to persist, messages to send and progress to act on. A replica uses no clock, network, disk or
+randomness; `driver` uses them on its behalf.
 """
 
 from __future__ import annotations
@@ -40,20 +41,20 @@ from koordgen.runtime.replication.state_machine import AHEAD, StateMachine
 from koordgen.runtime.replication.views import Report, Views, is_possible
 
 TICKS = 5  # number of ticks in a round
-REQUEST_TICK = 3  # from this tick of a round on, entries of this round are requested; before it, of the last round
+REQUEST_TICK = 3  # first tick of a round at which entries of that round are requested, not only earlier entries
 JOIN_TICKS = 3 * TICKS  # ticks for which a request to join is valid
 HEARD_TICKS = 2 * TICKS  # ticks for which a robot counts as reachable after a message
-SETTLE_AFTER = 3  # rounds by which `settled` may lag behind `applied` before it is computed again
+SETTLE_AFTER = 3  # number of rounds by which `settled` must lag behind `applied` to be computed again
 
 
 class Replica:
     """Replica of one robot.
 
-    state: the robot's copy of the store; None if it has no valid one, after a restart of its process or after a view
-        without it.
+    state: the robot's copy of the store. None if the robot has no valid copy: its process restarted, or a view has
+        removed the robot.
     hard_state: the last persisted hard state.
     peer_timeout: rounds without entries after which a member is suspected.
-    room: bytes of a datagram that a fragment of a snapshot may fill.
+    room: largest number of bytes that a datagram has for a fragment of a snapshot.
     """
 
     def __init__(
@@ -67,65 +68,66 @@ class Replica:
     ) -> None:
         self.pid, self._n = pid, layout.n_sys
         self._layout = layout
-        self._peer_timeout = peer_timeout  # rounds
+        self._peer_timeout = peer_timeout  # rounds without entries after which a member is suspected
         self._others = tuple([p for p in range(self._n) if p != pid])
         self.peers = {p: Progress() for p in self._others}
-        self._tick, self.round = 0, 1  # the present tick and round
+        self._tick, self.round = 0, 1  # present tick and present round
         self.state = state
-        # The store at the beginning of a view without this robot. It is used again if no other robot has the store.
+        # Store at the beginning of the view that removed this robot. The robot continues with this store if the next
+        # view admits the robot and the store can be rewound to the beginning of that view.
         self._spare: StateMachine | None = None
         self.rejoin = None if state is not None else Rejoin(pid, hard_state.view.number)
-        self.acknowledged = hard_state.applied  # the last round that this robot has reported as applied, or may report
+        self.acknowledged = hard_state.applied  # last round that this robot may have reported as applied
         self.views = Views(pid, hard_state.view, hard_state.vote, self.promise_report, self._holds_all, self._adopted)
         self.policy = RetransmissionPolicy(pid, self._n)
         self._detector = FailureDetector(self._n, self.round)
         self._assembly = Assembly()
         self._snapshots = Snapshots(room)
-        self._turn = pid  # increases with each request; selects one of many recipients
-        self._join_asked = -JOIN_TICKS  # tick of the last request to join by any robot
+        self._turn = pid  # number that increases with each request, to select a different recipient each time
+        self._join_asked = -JOIN_TICKS  # tick at which any robot last asked to join
         self.published = hard_state.applied if state is None else state.logs[pid].held  # last own round that was sent
-        self.emergency = False  # this robot knows of an emergency stop
+        self.emergency = False  # True once this robot knows of an emergency stop
         self.store_changes = 0  # number of times that the store was replaced or lost
         self._persisted = hard_state
-        self._applied = Applied(-1, -1)  # as last returned by `ready`
+        self._applied = Applied(-1, -1)  # progress that `ready` has returned last
         self._private: object = None
         self._sends: list[Send] = []
         self._rejected: list[str] = []
         self._requested: list[int] = []
         self._moved = 0, self.round  # the last applied round, and the round in which it was applied
-        self._has_progress = True  # reports, the applied round or the view have changed since `ready` was called
+        self._has_progress = True  # peers' reports, the applied round or the view have changed since the last `ready`
 
-    # State for the room's users.
+    # Properties that other packages read.
 
     @property
     def is_out(self) -> bool:
-        """True if this robot has no valid store, because it restarted, was no member, or lost it."""
+        """True if this robot has no valid store: it restarted, was removed from the fleet, or lost the store."""
         return self.state is None
 
     @property
     def is_busy(self) -> bool:
-        """True if there may be something to do at the next tick."""
+        """True if the next tick may have work to do for a rejoin or a view change."""
         return self.rejoin is not None or self.views.is_busy
 
     @property
     def status(self) -> str:
-        """The reason why there is no store, as text."""
+        """Reason why this robot has no store, as text for users."""
         if self.rejoin is not None and self.rejoin.incarnation(self.views.view) >= 0:
             return f"{NOT_CURRENT}: admitted again, receives the shared store"
         return f"{NOT_CURRENT}: removed from the fleet, asks to rejoin"
 
     @property
     def laggard(self) -> int:
-        """The member that has applied the fewest rounds, by its own reports."""
+        """Pid of the member whose reports show the fewest applied rounds."""
         applied = self._member_progress()
         return min(applied, key=lambda p: applied[p], default=self.pid)
 
     def unaware(self, round_: int) -> list[int]:
-        """Return the members that have not reported a round as applied."""
+        """Return the other members that have not reported round `round_` as applied."""
         return [p for p, applied in self._member_progress().items() if applied < round_]
 
     def _member_progress(self) -> dict[int, int]:
-        """Return how far the other members have applied, by their reports in the present view; -1: no report."""
+        """Return pid -> last round that a member has reported as applied in the present view; -1: no report."""
         view = self.views.view
         return {
             p: peer.applied if peer.view == view.number else -1
@@ -133,10 +135,10 @@ class Replica:
             if view.members[p] >= 0
         }
 
-    # Output.
+    # Methods that return work to the driver.
 
     def ready(self) -> Ready:
-        """Return what is to be persisted, sent and applied since the last call."""
+        """Return the work since the last call: data to persist, messages to send and new progress."""
         apply = self._new_progress() if self._has_progress else None
         view, vote, persisted, persist = self.views.view, self.views.vote, self._persisted, None
         if view is not persisted.view or vote is not persisted.vote or self.acknowledged != persisted.applied:
@@ -152,7 +154,7 @@ class Replica:
         return ready
 
     def _new_progress(self) -> Applied | None:
-        """Update the commit index. Return it and the applied round, or None if neither has changed."""
+        """Update the commit index. Return the last applied and committed rounds; None if both are unchanged."""
         self._has_progress = False
         state, known = self.state, self._applied
         if state is None:
@@ -171,7 +173,7 @@ class Replica:
 
     def _send_round(self, to: Sequence[int], round_: int, entries: Sequence[Entry] = (),
                     received: Mapping[int, Any] = NO_PARTS) -> None:  # fmt: skip
-        """Send a round message: the progress report of `round_` with entries."""
+        """Send a round message to robots `to`: the progress report of round `round_`, and `entries`."""
         if to:
             self._sends.append(Send(to, RoundMessage, (*self._progress_report(round_), tuple(entries)), received))
 
@@ -180,26 +182,29 @@ class Replica:
         state = self.state
         if state is None:
             return self.views.view.number, 0, self.acknowledged, 0, self.emergency, (0,) * self._n
-        held = state.held if state.applied < round_ - 1 else ()  # else all of them are held up to `applied`
+        held = state.held if state.applied < round_ - 1 else ()  # empty: all entries up to `applied` are held
         return state.view.number, round_, state.applied, state.settled, self.emergency, held
 
     def _reject(self, reason: str) -> None:
         self._rejected.append(reason)
 
-    # The robot's own rounds.
+    # Methods for the rounds of this robot.
 
     def skip_rounds(self, through: int, stopped: bool) -> None:
-        """Close rounds that passed before the robot woke. Their silent entry is sent with the next entry."""
+        """Close the rounds up to `through`, during which the robot did not run, with a silent entry.
+
+        The silent entry is sent together with the robot's next entry.
+        """
         state = self.state
         if state is not None and state.logs[self.pid].held < through:
             state.close(through, {}, stopped=stopped)
 
     def propose(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
                 awaits_commit: bool = False, lock: int = -1, private: object = None) -> None:  # fmt: skip
-        """Close a round and send its entry; see StateMachine.close.
+        """Close round `round_` and send this robot's entry of the round. Parameters: see StateMachine.close.
 
-        `private` is persisted before the entry is sent. Peers that lack older entries get those, too, unless this robot
-        is late.
+        `private` is persisted before the entry is sent. Peers that lack older entries also get these older entries,
+        unless this robot is late.
         """
         self._private = private
         first, self.published = self.published + 1, round_
@@ -231,15 +236,17 @@ class Replica:
             self._send_round([p for p in self.state.awaiting if p != self.pid], round_)
 
     def declare_emergency(self) -> None:
-        """Announce an emergency stop: at once, and with every further round message."""
+        """Announce an emergency stop now, and in every later round message."""
         self.emergency = True
         self._send_round(self._others, 0)
 
     def request(self, tick: int, on_time: bool, awaited: int | None) -> bool:
-        """Request missing entries at tick `tick` of the present round. Return whether a request was sent.
+        """Request missing entries and reports. Return whether a request was sent.
 
-        `on_time`: the robot woke when it was due. `awaited`: a round whose commit the robot waits for: reports are
-        requested from members that have not acknowledged it.
+        tick: tick within the present round.
+        on_time: the robot woke when it was due.
+        awaited: round whose commit the robot waits for, or None. Reports are requested from members that have not
+            reported this round as applied.
         """
         state, round_ = self.state, self.round
         if state is None:
@@ -259,15 +266,18 @@ class Replica:
         return True
 
     def _is_lost(self, state: StateMachine, missing: Sequence[int]) -> bool:
-        """Return whether entries of these robots were lost: later ones arrived, or a peer has applied more."""
+        """Return whether entries of the robots `missing` are known to be lost.
+
+        Entries are lost if later entries of their author have arrived, or if a peer has applied more rounds.
+        """
         applied = max([peer.applied for peer in self.peers.values()], default=0)
         return any(state.logs[p].later or state.logs[p].held < applied for p in missing)
 
     def _lacked_entries(self, state: StateMachine, pid: int, helps: bool) -> list[Entry]:
-        """Return the entries that a peer lacked by its last report, once for each report.
+        """Return the entries that peer `pid` lacked by its last report. Each report is answered once.
 
-        helps: also return entries of other authors, not only this robot's own. Own entries come first, so that several
-            robots that answer at the same time begin with different entries.
+        helps: also return entries of other authors. This robot's own entries come first, so that several robots that
+            answer at the same time begin with different entries.
         """
         peer = self.peers[pid]
         if not peer.lacks or state.view.members[pid] < 0:
@@ -280,13 +290,13 @@ class Replica:
                 found += state.logs[author].between(low, peer.wanted)
         return found
 
-    # Time.
+    # Methods for the work at each tick.
 
     def tick(self, tick: int) -> bool:
-        """Begin a tick, counted from the beginning of round 1.
+        """Begin tick `tick`; ticks are counted from the beginning of round 1.
 
-        Check for suspected and joining robots, and continue this robot's own rejoin. Return False if there was nothing
-        to do, as at the beginning of nearly all rounds."""
+        Check for robots that are suspected or want to join, and continue this robot's own rejoin. Return False if no
+        work resulted, as at the beginning of most rounds."""
         self._tick = self.views.tick = tick
         self.round = tick // TICKS + 1
         if self.emergency:
@@ -308,16 +318,17 @@ class Replica:
         return True
 
     def _is_calm(self) -> bool:
-        """Return whether nothing is late and no view change is needed: true at the start of most rounds."""
+        """Return whether all entries have arrived in time and no robot needs a view change or a rejoin."""
         calm = not self.is_busy and self._join_asked <= self._tick - JOIN_TICKS
         return calm and self.state is not None and self.state.applied >= self.round - 1
 
     def _is_stranded(self) -> bool:
         """Return whether this robot lacks entries that it will never get.
 
-        That is so if for 2 * `peer_timeout` rounds it has heard a majority and applied no round, while a majority has
-        applied more. The robots that had the missing entries have failed since, or got their effects in a snapshot. A
-        majority without this robot has all committed rounds, so this robot may discard its store and rejoin.
+        The condition: for 2 * `peer_timeout` rounds this robot has heard a majority but applied no round, and a
+        majority has applied more. Robots that had the missing entries have failed since, or received the effects in a
+        snapshot. A majority without this robot has all committed rounds, so this robot may discard its store and
+        rejoin.
         """
         state = self.state
         if state is None or state.applied != self._moved[0] or not state.lacking:
@@ -336,7 +347,7 @@ class Replica:
         return self._detector.suspects(missing, self.state.arrived, last)
 
     def apply_rounds(self) -> bool:
-        """Apply all rounds whose entries are complete. Return whether there was one."""
+        """Apply all rounds whose entries have arrived. Return whether a round was applied."""
         state = self.state
         if state is None or not state.apply_rounds():
             return False
@@ -345,15 +356,15 @@ class Replica:
             state.settle(min([state.applied, *self._member_progress().values()]))
         return True
 
-    # Messages.
+    # Methods that handle messages of other robots.
 
     def step(self, message: ReplicaMessage) -> None:
-        """Handle a message of another robot, which `link` has found authentic and of this mission."""
+        """Handle a message of another robot. The link has checked that it is authentic and of this mission."""
         sender = message.head.pid
         peer = self.peers[sender]
         peer.heard = self._tick
         match message:
-            case RoundMessage():  # nearly all
+            case RoundMessage():  # most frequent, so it is tested first
                 self._round(sender, peer, message)
             case Nack():
                 self._need(sender, peer, message)
@@ -387,9 +398,11 @@ class Replica:
             state.settle(min(settled, state.applied))
 
     def _is_possible(self, applied: int, held: Sequence[int], latest: int) -> bool:
-        """Return whether the rounds in a progress report are possible now; count a rejection if not.
+        """Return whether a progress report names only rounds that are possible now.
 
-        latest: greatest other round in the report.
+        If not, a rejection is counted.
+
+        latest: greatest round in the report besides `applied` and `held`.
         """
         last = self.round + AHEAD
         if applied <= last and latest <= last and (not held or (len(held) == self._n and max(held) <= last)):
@@ -407,10 +420,10 @@ class Replica:
         if peer.report(message.view, message.applied, message.held, through, again=True):
             self._has_progress = True
         received = peer.received = {p.author: p for p in message.received}
-        has_ours = message.held[self.pid] >= through  # it needs only entries of other robots
+        has_ours = message.held[self.pid] >= through  # the sender needs only entries of other robots
         helps = has_ours or is_helper(self.pid, sender, self.round, self._n)
         entries = self._lacked_entries(state, sender, helps)
-        if entries or has_ours:  # otherwise this robot's entry is not closed yet, and will be sent to all robots
+        if entries or has_ours:  # if not, this robot will close its round and send the entry later
             self._send_round([sender], self.round, entries, received)
 
     def _fragment(self, fragment: Fragment) -> None:
@@ -419,7 +432,7 @@ class Replica:
         if state is None or fragment.author >= self._n:
             return
         logs, last = state.logs, self.round + AHEAD
-        found = self._assembly.take(fragment, lambda author, round_: logs[author].held < round_ <= last)
+        found = self._assembly.add(fragment, lambda author, round_: logs[author].held < round_ <= last)
         if isinstance(found, str):
             self._reject(found)
         elif found is not None and (refused := state.append(found, self.round)) is not None:
@@ -439,7 +452,7 @@ class Replica:
         """Handle a fragment of a snapshot."""
         rejoin, view = self.rejoin, self.views.view
         if rejoin is None or rejoin.incarnation(view) < 0 or self.views.is_frozen:
-            return  # this robot has promised for a view, so it must not get a store with more rounds than it reported
+            return  # a frozen robot must not receive a store with more rounds than its promise has reported
         found = rejoin.step(fragment, self._tick)
         if isinstance(found, str):
             self._reject(found)
@@ -447,7 +460,7 @@ class Replica:
             self._restore(rejoin, found)
 
     def _restore(self, rejoin: Rejoin, snapshot: Snapshot) -> None:
-        """Continue with the store of a snapshot."""
+        """End the rejoin: continue with the store of a received snapshot."""
         view, state = self.views.view, None
         is_of_view = is_possible(snapshot.view, self._n) and snapshot.view.number == view.number
         if is_of_view and snapshot.applied >= view.since - 1:
@@ -462,19 +475,19 @@ class Replica:
         self._detector.restart_all(self.round)
 
     def _lose_store(self, since: int) -> None:
-        """Discard the store, and begin a rejoin by a view with a number greater than `since`."""
+        """Discard the store and begin to rejoin. Only a view later than `since` can admit this robot again."""
         self.rejoin = Rejoin(self.pid, since, arrived=self._tick)
         self._replace(None)
 
     def _replace(self, state: StateMachine | None) -> None:
-        """Replace the store by another one, or by none."""
+        """Replace the store. None: this robot has no store from now on."""
         self.state = state
         self._has_progress = True
         self.store_changes += 1
         if state is not None:
             self.published = state.logs[self.pid].held
 
-    # Views.
+    # Methods for view changes.
 
     def _ballot(self, sender: int, message: Ballots) -> None:
         value = getattr(message, "value", None) or getattr(message, "accepted", None)
@@ -485,7 +498,7 @@ class Replica:
         self._freeze()
 
     def _inform(self, sender: int, view: int) -> None:
-        """Send the present view to a robot that uses an earlier one, at most once a tick."""
+        """Send the present view to robot `sender` if its view is earlier; at most once a tick."""
         peer = self.peers[sender]
         if view < self.views.view.number and peer.informed != self._tick:
             peer.informed = self._tick
@@ -496,7 +509,7 @@ class Replica:
             self.state.is_frozen = self.views.is_frozen
 
     def promise_report(self) -> Report:
-        """Return this robot's report for a promise. The applied round in it counts as reported from now on."""
+        """Return this robot's report for a promise. Its last applied round counts as reported from now on."""
         if self.state is not None:
             self.acknowledged = self.state.applied
         return Report(self.views.view.number, self.acknowledged, self.state is not None or self._spare is not None)
@@ -504,9 +517,9 @@ class Replica:
     def _holds_all(self, value: View) -> bool:
         """Return whether this robot may vote for a view.
 
-        It must not vote if the view would make it lose its store, if it lacks entries of rounds before the view, or if
-        it has no store and is no member of the view. The voters are a majority, so this rule ensures that not only one
-        robot holds the entries before the view."""
+        A robot must not vote in three cases: the view would make the robot lose its store, the robot lacks entries of
+        rounds before the view, or it has no store and is no member of the view. The voters are a majority, so several
+        robots hold the entries before the view."""
         state, last = self.state, value.since - 1
         if state is None:
             return value.members[self.pid] >= 0
@@ -514,7 +527,7 @@ class Replica:
         return stays and (state.applied >= last or not state.missing(last))
 
     def _adopted(self, before: View) -> None:
-        """Switch to the decided view."""
+        """Continue in the view that was just decided. `before` is the previous view."""
         view, state, own = self.views.view, self.state, self.views.view.members[self.pid]
         self._has_progress = True
         is_next = view.number == before.number + 1
@@ -536,8 +549,9 @@ class Replica:
     def _leave(self, before: View, is_next: bool) -> None:
         """Handle a view that removed this robot, gave it a new incarnation, or is not the next one.
 
-        The store is rewound to the beginning of the view if possible. If the robot is admitted again, it continues with
-        that store. Otherwise the store is kept as spare, or discarded, and the robot rejoins.
+        If possible, the store is rewound to the beginning of the view. If the view admits this robot again, the robot
+        continues with the rewound store. Otherwise the robot rejoins, and the rewound store is kept as a spare. A store
+        that cannot be rewound is discarded.
         """
         view, last = self.views.view, self.state or self._spare
         kept = last if last is not None and is_next and last.rewind(view) else None

@@ -1,8 +1,8 @@
 """Replicated state machine: one robot's copy of the shared store, and the logs that determine it.
 
 S_r is the store at the beginning of round r. S_1 consists of the initial values and the results of all robots' `init`.
-S_{r+1} is S_r with the entries of round r applied, of all robots that are members in round r: first one transaction for
-each lock, then the plain writes by ascending pid. So two robots that have applied the same rounds have equal stores."""
+S_{r+1} is S_r after the entries of round r of all members are applied: first one transaction for each lock, then the
+plain writes by ascending pid. So two robots that have applied the same rounds have equal stores."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.wire import Entry, Snapshot, View
 from koordgen.runtime.replication.apply import Store, arbitrate, merge
-from koordgen.runtime.replication.log import Log, Logged
+from koordgen.runtime.replication.log import EntryLog, Logged
 from koordgen.runtime.replication.schedule import Schedule
 
-AHEAD = 8  # rounds that a peer's clock may be ahead of this robot's
+AHEAD = 8  # largest number of rounds by which a peer's clock may be ahead of this robot's clock
 DROP_EVERY = 4  # rounds between two drops of settled entries, because each drop visits all logs
-WINDOW = 256  # number of unsettled entries of one author from which on this author runs no events
+WINDOW = 256  # number of unsettled entries of one author at which the author runs no more events
 NO_INCARNATION = -2  # a number that is never an incarnation
-MOST_PAST = 16  # number of past stores at which those that are no longer needed are dropped
+MOST_PAST = 16  # number of kept past stores from which on unneeded past stores are dropped
 
 
 class StateMachine:
@@ -41,28 +41,28 @@ class StateMachine:
         self._pid = pid
         self._n = layout.n_sys
         self._schedule = Schedule(view)
-        self.view = view  # the latest view
-        self.logs = [Log(applied) for _ in range(self._n)]
-        self.applied = applied  # `shared` contains all rounds up to this one: it is S_{applied + 1}
-        self.committed = min(applied, view.since - 1)  # no later view can leave out a round up to this one
-        self.settled = 0  # every member holds all entries up to this round
-        self.arrived = [0] * self._n  # of each robot, the round in which a new entry of it arrived last
+        self.view = view  # latest view that this robot has adopted
+        self.logs = [EntryLog(applied) for _ in range(self._n)]
+        self.applied = applied  # last round that `shared` contains; `shared` is S_{applied + 1}
+        self.committed = min(applied, view.since - 1)  # last committed round: no later view can leave it out
+        self.settled = 0  # last round up to which every member holds all entries
+        self.arrived = [0] * self._n  # for each robot, the round in which its last new entry arrived
         self.lacking = 0  # number of members whose entry of round applied + 1 is missing
-        self._incarnations: Sequence[int] = ()  # incarnations that entries must have
-        self.is_frozen = False  # no round at or after the beginning of the latest view may be applied
+        self._incarnations: Sequence[int] = ()  # for each robot, the incarnation that its entries must have
+        self.is_frozen = False  # True: rounds of the next view must not be applied until that view is decided
         self.shared = shared
         self.stopped = dict(stopped or {})  # pid -> the round in which the robot stopped
         self.acted = list(acted) or [0] * self._n  # for each robot, the last round in which its event counted
-        self.won = 0  # the last round in which this robot's commit won
-        self.awaiting: tuple[int, ...] = ()  # robots that wait for a report that the last applied round was applied
-        self.unfit = 0  # patches that fitted no value: a fault of their author, ignored by all robots equally
-        self._past = [(applied, shared, self.acted)]  # stores that a view change may rewind to
-        self._dropped = 0  # settled entries were dropped up to this round
+        self.won = 0  # last round in which a transaction of this robot won its lock
+        self.awaiting: tuple[int, ...] = ()  # robots whose outputs wait for the commit of the last applied round
+        self.unfit = 0  # number of patches that did not fit their value; all robots ignore the same patches
+        self._past = [(applied, shared, self.acted)]  # stores to which a view change may rewind
+        self._dropped = 0  # last round up to which settled entries were dropped
         self._update()
 
     @classmethod
     def begin(cls, layout: Layout, pid: int, view: View, inits: Sequence[Entry]) -> StateMachine:
-        """Return the store of round 1, from the round-0 entries of all robots, which `layout` has read before."""
+        """Return the state machine at round 1, from the round-0 entries (results of `init`) of all robots."""
         state = cls(layout, pid, view, layout.initial())
         state._apply([Logged(e, layout.read(e) or ()) for e in sorted(inits, key=lambda e: e.author)], 0)
         state._past = [(0, state.shared, state.acted)]
@@ -70,7 +70,7 @@ class StateMachine:
 
     @classmethod
     def from_snapshot(cls, layout: Layout, pid: int, snapshot: Snapshot) -> StateMachine | None:
-        """Return the store in a snapshot; None if it does not fit the program."""
+        """Return the state machine of a snapshot; None if the snapshot does not fit the program."""
         n = layout.n_sys
         shared = layout.unpack(snapshot.values)
         if shared is None or not len(snapshot.stopped) == len(snapshot.acted) == len(snapshot.view.members) == n:
@@ -79,11 +79,11 @@ class StateMachine:
         return cls(layout, pid, snapshot.view, shared, snapshot.applied, stopped, snapshot.acted)
 
     def snapshot(self) -> Snapshot:
-        """Return the store for a robot that rejoins."""
+        """Return a snapshot of the store, for a robot that rejoins."""
         stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
         return Snapshot(self._schedule.first, self.applied, self._layout.pack(self.shared), stopped, tuple(self.acted))
 
-    # Queries.
+    # Methods that query the state.
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -92,35 +92,37 @@ class StateMachine:
 
     @property
     def is_full(self) -> bool:
-        """True if this robot must run no events, because others lag too far behind to receive entries."""
+        """True if this robot must run no event, because too many of its own entries are not settled."""
         log = self.logs[self._pid]
         return log.held - self.settled > WINDOW // 2 and len(log.kept) >= WINDOW
 
     @property
     def all_stopped(self) -> int | None:
-        """The round by which all members had stopped, in the applied rounds; None if some have not stopped."""
+        """First applied round by which all members have stopped; None if a member has not stopped."""
         rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
         return None if None in rounds else max(r for r in rounds if r is not None)
 
     def missing(self, through: int) -> list[int]:
-        """Return the members whose entries up to round `through` are not all held."""
+        """Return the members of which this robot lacks an entry up to round `through`."""
         if through <= self.applied and self._schedule.is_single:
             return []
         members = self.view.members
         return [p for p, log in enumerate(self.logs) if log.held < through and members[p] >= 0]
 
     def own(self, first: int) -> list[Entry]:
-        """Return the own entries from round `first` on."""
+        """Return this robot's own entries from round `first` on."""
         log = self.logs[self._pid]
         return log.between(first, log.held)
 
-    # Entries.
+    # Methods that add entries to the logs.
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
               awaits_commit: bool = False, lock: int = -1) -> Entry:  # fmt: skip
-        """Append the own entry of a round, in which an event wrote `shared`, and return it.
+        """Append this robot's own entry of round `round_`, and return the entry.
 
-        `lock` is -1 for a plain event. Earlier rounds without an entry get a silent one.
+        shared: name -> value that the round's event wrote.
+        lock: lock of a transaction; -1 for a plain event.
+        Earlier rounds without an entry get a silent entry.
         """
         pid = self._pid
         log, first = self.logs[pid], self.logs[pid].held + 1
@@ -136,7 +138,7 @@ class StateMachine:
     def append(self, entry: Entry, round_: int) -> str | None:
         """Append another robot's entry, which arrived in round `round_`. Return why it is refused, or None.
 
-        A known entry is no error.
+        An entry that is already held is ignored, not refused.
         """
         author, last = entry.author, entry.round
         if author >= self._n:
@@ -157,7 +159,7 @@ class StateMachine:
                 return None
             entry = part
         if author == self._pid:
-            return "entry of ours that we did not write"
+            return "entry of this robot from another robot"
         values = self._layout.read(entry)
         if values is None:
             return "entry does not fit"
@@ -170,12 +172,12 @@ class StateMachine:
         return None
 
     def _note_held(self, author: int, before: int) -> None:
-        """Decrement `lacking` if the author's entries now reach beyond `applied` and did not before."""
+        """Decrement `lacking` if the author's entry of round applied + 1 is held now and was not before."""
         if before <= self.applied < self.logs[author].held and self._schedule.first.members[author] >= 0:
             self.lacking -= 1
 
     def settle(self, through: int) -> None:
-        """Record that every member holds all entries up to round `through`; these entries are dropped later."""
+        """Record that every member holds all entries up to round `through`. Drop them, a few rounds at a time."""
         if through > self.settled:
             self.settled = through
             if through >= self._dropped + DROP_EVERY:
@@ -183,16 +185,16 @@ class StateMachine:
                 for log in self.logs:
                     log.drop(through)
 
-    # Rounds.
+    # Methods that apply rounds.
 
     def apply_rounds(self) -> bool:
-        """Apply rounds as long as all their entries are held. Return whether there was one."""
+        """Apply each next round whose entries are all held. Return whether a round was applied."""
         before = self.applied
         while not self.lacking and not (self.is_frozen and self.applied >= self.view.since - 1):
             round_ = self.applied + 1
             entries = [self.logs[p].at(round_) for p in self._schedule.members]
             through = round_
-            if not entries[0].entry.acted and not any(e.is_single for e in entries):  # silent rounds, all at once
+            if not entries[0].entry.acted and not any(e.is_single for e in entries):  # all entries are silent
                 through = min(self._schedule.end(round_), min([e.entry.round for e in entries]))
             self._apply(entries, through)
         return self.applied > before
@@ -200,7 +202,8 @@ class StateMachine:
     def _apply(self, entries: Sequence[Logged], through: int) -> None:
         """Apply one entry of each member, by ascending pid, up to round `through`.
 
-        Commits come first, then plain writes: the plain write of the highest pid wins, also over a commit.
+        Winning transactions are applied before plain writes. So a plain write overrides a transaction, and the plain
+        write of the highest pid overrides other plain writes.
         """
         awaiting: list[int] = []
         stopping: list[Entry] = []
@@ -230,7 +233,7 @@ class StateMachine:
         self._update()
 
     def _keep_past(self) -> None:
-        """Keep the present store for `rewind`, and drop stores older than the last committed one."""
+        """Keep the present store for `rewind`, and drop stores that are older than the last committed store."""
         past = self._past
         if len(past) >= MOST_PAST:
             for index in range(len(past) - 1, 0, -1):
@@ -240,7 +243,7 @@ class StateMachine:
         past.append((self.applied, self.shared, self.acted))
 
     def _update(self) -> None:
-        """Update all values that depend on the applied round and on the view."""
+        """Update the values that depend on the last applied round and on the view."""
         if not self._schedule.is_single:
             self._schedule.skip_absences(self.logs)
             self._schedule.drop(self.applied)
@@ -252,12 +255,12 @@ class StateMachine:
         logs, applied = self.logs, self.applied
         self.lacking = len([p for p in self._schedule.members if logs[p].held <= applied])
 
-    # Views.
+    # Methods that change the view.
 
     def adopt(self, view: View) -> None:
         """Switch to the next view.
 
-        Entries of the view's rounds are dropped if their authors are no longer members or have a new incarnation."""
+        Entries for rounds of the new view are dropped if their author was removed or has a new incarnation."""
         self._truncate(view)
         self._schedule.append(view)
         self.view = view
@@ -265,10 +268,10 @@ class StateMachine:
         self._update()
 
     def rewind(self, view: View) -> bool:
-        """Switch to the next view, and rewind the store to the beginning of the view.
+        """Switch to the next view, and rewind the store to the beginning of that view.
 
-        Return False if that store is no longer kept. Used by a robot that has applied more rounds than the view keeps;
-        its events of those rounds do not count."""
+        A robot must rewind if it has applied rounds that the new view discards. Its events in them do not count.
+        Return False if the store to rewind to is no longer kept."""
         last = view.since - 1
         found = next(((shared, acted) for round_, shared, acted in reversed(self._past) if round_ <= last), None)
         if found is None or self.applied < last:

@@ -6,7 +6,7 @@ received:
 
 - The members are the robots that promised. Robots that still have the store keep their incarnation; the others get a
 new one and need a state transfer.
-- The rounds of view w end with the last one that a majority may have reported as applied: no committed round is lost.
+- View w ends with the last round that a majority may have reported as applied. So no committed round is lost.
 
 A robot that has promised applies no further round until the view is decided (it is frozen). A robot votes only if it
 holds all entries of the rounds before the new view, so a majority holds the entries that the view begins with."""
@@ -27,12 +27,13 @@ GRACE = 5  # ticks that a proposer with promises of a majority waits for promise
 
 
 class Report(NamedTuple):
-    """Report of a robot with its promise.
+    """Report that a robot sends with its promise.
 
-    view: number of its latest view.
-    applied: last round that it has reported as applied in that view.
-    has_store: it still has the store after that round.
-    voted: ballot in which it has voted. accepted: view that it voted for; None without a vote.
+    view: number of the robot's latest view.
+    applied: last round that the robot has reported as applied in that view.
+    has_store: the robot still has the store after that round.
+    voted: ballot in which the robot has voted.
+    accepted: view that the robot has voted for; None without a vote.
     """
 
     view: int
@@ -43,9 +44,9 @@ class Report(NamedTuple):
 
 
 def promise(vote: Vote, number: int, ballot: int) -> Vote | None:
-    """Return the vote state after a promise for view `number`.
+    """Return the Vote of a robot after a promise for view `number` in ballot `ballot`.
 
-    None if a promise for a higher ballot forbids it.
+    Return None if an earlier promise, for a later view or a higher ballot, forbids the new promise.
     """
     if number > vote.number:
         return Vote(number, ballot)
@@ -55,16 +56,17 @@ def promise(vote: Vote, number: int, ballot: int) -> Vote | None:
 
 
 def accept(vote: Vote, ballot: int, value: View) -> Vote | None:
-    """Return the vote state after a vote for `value`; None if a promise for a higher ballot forbids it."""
+    """Return the Vote of a robot after it votes for `value`; None if an earlier promise forbids that."""
     if value.number < vote.number or (value.number == vote.number and ballot < vote.promised):
         return None
     return Vote(value.number, ballot, ballot, value)
 
 
 def bound_value(reports: Mapping[int, Report], absent: int, n_sys: int) -> View | None:
-    """Return the value that may already be decided; of several, the one with the highest ballot.
+    """Return the view that may already be decided, or None.
 
-    A value for which no majority can have voted, even with all `absent` robots, is not binding."""
+    Of several views, the one with the highest ballot is returned. A view is ignored if no majority can have voted for
+    it, even if all `absent` robots have."""
     votes = Counter(r.accepted for r in reports.values() if r.accepted is not None)
     possible = [r for r in reports.values() if r.accepted is not None and votes[r.accepted] + absent >= majority(n_sys)]
     return max(possible, key=lambda r: r.voted).accepted if possible else None
@@ -73,11 +75,11 @@ def bound_value(reports: Mapping[int, Report], absent: int, n_sys: int) -> View 
 def choose(view: View, reports: Mapping[int, Report]) -> View | None:
     """Return the successor of `view` that its proposer may put to the vote.
 
-    None if the promises do not suffice.
+    Return None without promises of a majority, or if no robot that promised has the store of the last round.
 
-    The rounds of `view` end with the last one that a majority may have reported as applied. Absent robots are counted
-    as if they had reported it, and robots that lost their store by their last reports. A robot that has applied more
-    gets a new incarnation and returns to the store of that round; its events since then do not count."""
+    `view` ends with the last round that a majority may have reported as applied. Absent robots are counted as if they
+    had reported that round. Robots that lost their store are counted by their last reports. A robot that has applied
+    more rounds gets a new incarnation and returns to the store of the last round; its later events do not count."""
     n_sys = len(view.members)
     absent = n_sys - len(reports)
     if len(reports) < majority(n_sys):
@@ -87,7 +89,7 @@ def choose(view: View, reports: Mapping[int, Report]) -> View | None:
         return bound
     present = [r for r in reports.values() if r.view == view.number]
     applied = sorted((r.applied for r in present), reverse=True)
-    needed = majority(n_sys) - absent  # reports that make a majority together with all absent robots
+    needed = majority(n_sys) - absent  # number of reports that form a majority together with all absent robots
     last = max(view.since - 1, applied[needed - 1] if needed <= len(applied) else 0)
     if not any(r.has_store and r.applied >= last for r in present):
         return None
@@ -114,7 +116,7 @@ def is_possible(view: View, n_sys: int) -> bool:
 
 
 def describe(view: View, names: Sequence[str]) -> str:
-    """Return the membership of a view as text."""
+    """Return a text for users: which robots count in a view, and which are back."""
     out = [name for name, m in zip(names, view.members, strict=True) if m < 0]
     back = [name for name, m in zip(names, view.members, strict=True) if m == view.number]
     parts = [f"{', '.join(out)} {'does' if len(out) == 1 else 'do'} not count" if out else "all robots count"]
@@ -128,12 +130,12 @@ class _Proposal:
     """Proposal of this robot for the next view.
 
     ballot: ballot of the proposal.
-    begun: tick at which it began.
-    reports: reports of the robots that promised, by pid.
+    begun: tick at which the proposal began.
+    reports: pid -> report of a robot that has promised.
     expected: robots whose promises are expected.
-    promised_at: tick at which a majority had promised; None before.
-    value: view that was put to the vote; None before.
-    votes: robots that voted for it.
+    promised_at: tick at which a majority had promised; None before that.
+    value: view that was put to the vote; None before that.
+    votes: robots that have voted for `value`.
     """
 
     ballot: int
@@ -146,13 +148,13 @@ class _Proposal:
 
 
 class Views:
-    """Acceptor, and if needed proposer, of views on one robot. Methods return messages to send.
+    """View changes on one robot: acceptor and, if needed, proposer. Methods return messages to send.
 
-    view: latest view known to be decided.
-    vote: promise and vote (see Vote). The caller persists `view` and `vote` before it sends the messages.
-    report: returns the robot's present report.
-    holds_all: returns whether the robot may vote for a view (see Replica._holds_all).
-    adopted: called with the previous view after a new view was adopted.
+    view: latest view that the robot knows to be decided.
+    vote: the robot's promise and vote. The caller persists `view` and `vote` before it sends the messages.
+    report: function that returns the robot's present report.
+    holds_all: function that returns whether the robot may vote for a view (see Replica._holds_all).
+    adopted: function that is called with the previous view after a new view was adopted.
     """
 
     def __init__(
@@ -165,15 +167,15 @@ class Views:
         self._holds_all = holds_all
         self._adopted = adopted
         self._proposal: _Proposal | None = None
-        self._reason: int | None = None  # tick since which another view is needed
-        self._no_joins_before = 0  # tick; after a view change, joining robots wait until then
+        self._reason: int | None = None  # first tick at which a view change was needed; None: no need
+        self._no_joins_before = 0  # tick until which robots that join wait after a view change
         self.tick = 0
         self.view = view
         self.vote = vote
 
     @property
     def is_frozen(self) -> bool:
-        """True if this robot has promised to apply no round until the next view is decided."""
+        """True if the robot has promised for a view that is not decided yet; it then applies no rounds."""
         return self.vote.number > self.view.number
 
     @property
@@ -207,7 +209,7 @@ class Views:
         return [*self._put(proposal), *self._vote_for(proposal), *self._ask(proposal)]
 
     def step(self, sender: int, message: Ballots) -> list[Send]:
-        """Handle a message of another robot."""
+        """Handle a Paxos message of robot `sender`. Return the messages to send."""
         match message:
             case Prepare():
                 return self._prepare(sender, message)
@@ -222,7 +224,7 @@ class Views:
                 return []
 
     def adopt(self, value: View) -> bool:
-        """Switch to a decided view. Return whether it is new."""
+        """Switch to a decided view. Return False if the view is not later than the present one."""
         if value.number <= self.view.number:
             return False
         before, self.view = self.view, value
@@ -231,7 +233,7 @@ class Views:
         self._adopted(before)
         return True
 
-    # Acceptor.
+    # Methods that handle messages to this robot as an acceptor.
 
     def _prepare(self, sender: int, message: Prepare) -> list[Send]:
         if message.view.number < self.view.number:
@@ -256,15 +258,15 @@ class Views:
         return [Send((sender,), Accepted, (value.number, message.ballot))]
 
     def _with_vote(self, report: Report) -> Report:
-        """Return the report with this robot's vote. It has promised for the view number in question."""
+        """Return the report with this robot's vote added. The robot has already promised for the next view."""
         return report._replace(voted=self.vote.voted, accepted=self.vote.value)
 
-    # Proposer.
+    # Methods for the proposals of this robot.
 
     def _begin(self, report: Report, expected: Collection[int]) -> _Proposal:
         number = self.view.number + 1
         bound = self.vote.promised if self.vote.number == number else 0
-        # The ballot is unique to this robot, and higher than all ballots that it has seen.
+        # No other robot uses this ballot, and it is higher than the ballot that this robot has promised.
         ballot = (bound // MAX_ROBOTS + 1) * MAX_ROBOTS + self._pid
         vote = promise(self.vote, number, ballot)
         assert vote is not None
@@ -273,7 +275,7 @@ class Views:
         return self._proposal
 
     def _ask(self, proposal: _Proposal) -> list[Send]:
-        """Send requests to the robots that have not answered yet."""
+        """Return requests to the robots that have not answered the proposal yet."""
         others = [p for p in range(self._n) if p != self._pid]
         if proposal.value is not None:
             silent = [p for p in others if p not in proposal.votes]
@@ -283,7 +285,7 @@ class Views:
     def _put(self, proposal: _Proposal) -> list[Send]:
         """Put a view to the vote once a majority and all expected robots have promised.
 
-        After GRACE ticks a majority suffices.
+        After GRACE ticks, the promises of a majority suffice.
         """
         if proposal.value is not None or len(proposal.reports) < majority(self._n):
             return []
@@ -295,7 +297,7 @@ class Views:
         return self._vote_for(proposal)
 
     def _vote_for(self, proposal: _Proposal) -> list[Send]:
-        """Vote for this robot's own proposal as soon as this robot may vote for it."""
+        """Vote for this robot's own proposal, once it was put to the vote and this robot may vote for it."""
         if proposal.value is None or self._pid in proposal.votes or not self._holds_all(proposal.value):
             return []
         vote = accept(self.vote, proposal.ballot, proposal.value)
@@ -309,7 +311,7 @@ class Views:
         proposal = self._proposal
         if proposal is None or message.number != self.view.number + 1 or message.ballot != proposal.ballot:
             return []
-        if message.view > self.view.number:  # a decision unknown to this robot
+        if message.view > self.view.number:  # the sender knows a later view than this robot
             self._proposal = None
             return []
         proposal.reports[sender] = Report(
@@ -327,7 +329,7 @@ class Views:
         return self._decide(proposal)
 
     def _decide(self, proposal: _Proposal) -> list[Send]:
-        """Announce the value once a majority has voted for it."""
+        """Announce the proposed view once a majority has voted for it."""
         if proposal.value is None or len(proposal.votes) < majority(self._n):
             return []
         value = proposal.value

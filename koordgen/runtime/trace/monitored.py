@@ -15,20 +15,21 @@ from koordgen.runtime.values.points import transmissible
 Of = Literal["invariant", "assume", "requires", "ensures", "loop invariant"]
 FOR_GOOD = ("land", "stop")
 
-# Certainty of an observation: sensors only; also the robot's own variables; also the shared store.
+# Parts of an observation that are committed. SENSED: sensor values; OWN: also the robot's own variables; SHARED: also
+# the shared variables.
 SENSED, OWN, SHARED = range(3)
 
 
 class Observation(msgspec.Struct, frozen=True):
     """A robot's knowledge at the start of a round, before its event.
 
-    certain: which parts are committed: SENSED, OWN or SHARED.
-    sensed: local time at which the position was measured; None if it never was.
+    committed: parts that are committed: SENSED, OWN or SHARED.
+    sensed: local time at which the robot's position was measured; None before the first measurement.
     """
 
     round: int
     time: float
-    certain: int
+    committed: int
     sensed: float | None
     sensors: Mapping[str, Any]
     locals: Mapping[str, Any]
@@ -36,7 +37,7 @@ class Observation(msgspec.Struct, frozen=True):
     actuators: Mapping[str, Any]
 
     def value(self, name: str, place: int) -> Any:
-        """Return a value that a property reads; of an allread variable all slots."""
+        """Return the value of a variable or port that a property reads. An allread variable returns all its slots."""
         if place == SENSED:
             return self.sensors.get(name, UNKNOWN)
         if place == SHARED:
@@ -44,15 +45,17 @@ class Observation(msgspec.Struct, frozen=True):
         return self.locals[name] if name in self.locals else self.actuators.get(name, UNKNOWN)
 
     def age(self, delta: float) -> int:
-        """Return the number of whole rounds since the sensors were new."""
+        """Return the age of the sensor values in whole rounds of `delta` seconds."""
         return 0 if self.sensed is None else max(0, int((self.time - self.sensed) / delta))
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Change of a property's verdict from `before` (None: the first one).
+    """Change of a monitored property's verdict.
 
-    `age`: rounds since the oldest value read was true; 0 for values of this round. `line` is such as "app.koord:12"."""
+    `before`: the previous verdict; None for the first verdict. `outcome`: the new verdict.
+    `age`: age in rounds of the oldest value that the property read; 0 for values of this round.
+    `line`: place of the property, such as "app.koord:12"."""
 
     time: float
     round: int
@@ -76,11 +79,11 @@ class MonitoredProperty:
     """A property that a robot monitors.
 
     outcome: present verdict, unchanged since round `since`.
-    true: round at whose start the verdict was last confirmed.
+    true: last round for whose start the verdict was confirmed.
     reads: names of the values that the property reads.
-    needs: certainty (SENSED, OWN or SHARED) that the property needs.
-    due: a value that it reads has changed, so it must be evaluated.
-    acting: it makes the robot react at present.
+    needs: committed parts of an observation (SENSED, OWN or SHARED) that the property needs.
+    due: True if a value that the property reads has changed, so the property must be evaluated.
+    acting: True while the property's violation makes the robot hold, land or stop.
     """
 
     of: Of
@@ -90,7 +93,7 @@ class MonitoredProperty:
     what: Property | Assumption | None = None
     reads: frozenset[str] = frozenset()
     needs: int = SENSED
-    senses: bool = False  # reads sensors, whose values age between samples
+    senses: bool = False  # the property reads sensors, whose values age between samples
     due: bool = True
     outcome: Outcome | None = None
     why: str = ""
@@ -116,10 +119,10 @@ class MonitoredProperty:
                 raise LookupError(f"nothing evaluates {self.of} {self.name}")
 
     def become(self, outcome: Outcome, why: str, round_: int, time: float, stale: bool = False) -> Change | None:
-        """Set the verdict in a round. Return the change, or None if there is none.
+        """Set the verdict of the property in a round. Return the change of the verdict, or None if it stays the same.
 
-        `stale`: it was not evaluated. A property that makes the robot hold does so until it is evaluated and not
-        violated."""
+        `stale`: True if the property was not evaluated. A property that makes the robot hold stops doing so only when
+        it is evaluated and not violated."""
         before = self.outcome
         if outcome == before:
             return None
@@ -133,14 +136,14 @@ class MonitoredProperty:
         return Change(time, round_, self.of, self.name, self.line, outcome, age, why, self.action, before)
 
     def report(self, round_: int) -> dict[str, Any]:
-        """Return plain values for the status."""
+        """Return the property and its verdict as JSON values for the status answer."""
         named = {"of": self.of, "name": self.name, "line": self.line, "outcome": self.outcome or "unknown"}
         age = max(0, round_ - self.true) if self.outcome else None
         return {**named, "since": self.since, "age": age, "why": self.why, "action": self.action}
 
 
 def usable(value: Any) -> Any:
-    """Return a sensor's value; UNKNOWN for one that no program may read."""
+    """Return a sensor value, or UNKNOWN if no program may read the value."""
     return value if transmissible(value) else UNKNOWN
 
 

@@ -1,17 +1,18 @@
 """Schema of a trace, format koord-trace/2: every record, every key with its meaning and its unit.
 
-A trace is a file of JSON objects, one a line; the first one is its header, and `kind` names the type of each. There are
-two forms. A robot's own trace begins with a RobotHeader and has `time` in its records; in lockstep and in a flight that
-is the robot's local monotonic clock in seconds. The merged trace of a run begins with a Header and has `t` instead,
-seconds since the start of round 1 (negative before), and `pid`, the number of the robot. Points are [x, y, z] in
-metres, local ENU: x east, y north, z up. Yaw is in radians, counter-clockwise from east. Values of the program are JSON
-by the program's types; numbers that are not finite are null.
+A trace is a file of JSON objects, one on each line. The first object is the header. The key `kind` of an object names
+its type. A trace has one of two forms. A robot's own trace begins with a RobotHeader, and its records have the key
+`time`: seconds of the robot's local monotonic clock, in lockstep as in a flight. The merged trace of a run begins with
+a Header, and its records have `t`, seconds since the start of round 1 (negative before), and `pid`, the number of the
+robot. Points are [x, y, z] in metres, local ENU: x east, y north, z up. Yaw is in radians, counter-clockwise from east.
+The program's types decide how values of the program are written in JSON. Numbers that are not finite are null.
 
-The comment behind each field says what the key means, and in brackets its unit; docs/reference/trace.md has the same as
-tables (`python -m tools.trace_tables`).
+The comment behind each field gives the meaning of the key, and the unit in brackets. `python -m tools.trace_tables`
+writes these comments as tables into docs/reference/trace.md.
 
-Agents write these types, simulators merge them, and all readers check what they read against them. Format koord-trace/1
-lacks `applications` and `application`: `upgraded` adds both, so each reader has the present format only.
+Agents write these types, simulators merge the records, and every reader checks its input against the types. Format
+koord-trace/1 lacks the keys `applications` and `application`. `upgraded` adds both keys, so readers need to know only
+the present format.
 """
 
 from __future__ import annotations
@@ -29,42 +30,42 @@ FORMAT = "koord-trace/2"
 OLD_FORMAT = "koord-trace/1"
 FAMILY = "koord-trace/"
 NO_HEADER = f"no header of format {FORMAT} or {OLD_FORMAT}"
-HEADER = b'{"kind":"header"'  # beginning of a header as agents write it
+HEADER = b'{"kind":"header"'  # first bytes of each header that an agent writes
 MOST_ROBOTS = 1000
 MOST_ROUND = 100_000_000
-OF_EVENTS = ("property", "fault")  # violations that stem from an application's events
+OF_EVENTS = ("property", "fault")  # kinds of violations that an application's events cause
 
-# A writer gives this for a key that it leaves out, because it is of the other form or there is nothing to say.
+# Value of a key that a writer leaves out of a record: the key belongs to the other form of trace, or has no value.
 LEFT_OUT: Any = UNSET
 
 Vector = tuple[float, float, float]
-Values = Mapping[str, msgspec.Raw]  # by name, as JSON: the program declares the types
-RoundNumber = Annotated[int, Meta(ge=0, le=MOST_ROUND)]  # 0: `init`
-LastRound = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # -1: none yet, not even `init`
-Incarnation = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # starts of an agent before this one; -1: none counts
+Values = Mapping[str, msgspec.Raw]  # name of a variable or port -> value as JSON, by its type in the program
+RoundNumber = Annotated[int, Meta(ge=0, le=MOST_ROUND)]  # number of a round; 0: `init`
+LastRound = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # last round of a robot; 0: `init`; -1: `init` has not run
+Incarnation = Annotated[int, Meta(ge=-1, le=MOST_ROUND)]  # number of a robot's incarnation; -1: no member
 
 
 class BadTrace(Exception):
-    """A file that is no trace, or is broken inside; the message names the file and the line."""
+    """Raised for a file that is no trace, or a damaged trace; the message names the file and the line."""
 
 
 class RobotName(msgspec.Struct, frozen=True):
     """One robot of a run."""
 
-    name: str  # as in the fleet file
-    pid: int  # from 0, without gaps
-    target: str  # platform, such as quad
+    name: str  # name of the robot in the fleet file
+    pid: int  # number of the robot; the numbers are 0, 1, 2 and so on
+    target: str  # target of the robot, such as quad
 
 
-class Shared(msgspec.Struct, frozen=True):
+class SharedVariable(msgspec.Struct, frozen=True):
     """A shared variable of the program."""
 
-    name: str  # as in the program
-    kind: str  # allread: one value for each robot; allwrite: one value
-    type: str  # in Koord
+    name: str  # name of the variable in the program
+    kind: str  # allread: one value for each robot; allwrite: one value for the fleet
+    type: str  # type of the variable, written in Koord
 
 
-class Box(msgspec.Struct, frozen=True):
+class BoxRecord(msgspec.Struct, frozen=True):
     """An axis-parallel box."""
 
     lo: Vector  # lower corner [m]
@@ -74,35 +75,35 @@ class Box(msgspec.Struct, frozen=True):
 class Wind(msgspec.Struct, frozen=True):
     """Wind of a simulated world."""
 
-    mean: Vector = (0.0, 0.0, 0.0)  # mean velocity, ENU [m/s]
+    mean: Vector = (0.0, 0.0, 0.0)  # mean velocity of the wind, ENU [m/s]
     gust: float = 0.0  # standard deviation of the gusts in each direction [m/s]
-    correlation: float = 1.0  # time in which gusts change [s]
+    correlation: float = 1.0  # correlation time of the gusts [s]
 
 
 class Marker(msgspec.Struct, frozen=True):
-    """A place of interest, reached within `radius`."""
+    """A place of interest; a robot within `radius` of its centre has reached it."""
 
-    name: str  # for people
-    position: Vector  # of its middle [m]
-    radius: float = 0.3  # within which it counts as reached [m]
+    name: str  # name of the marker, shown to users
+    position: Vector  # centre of the marker [m]
+    radius: float = 0.3  # distance within which a robot has reached the marker [m]
 
 
 class MarkerList(msgspec.Struct, frozen=True):
     """A shared list whose elements at the mission's start are markers."""
 
-    variable: str  # name of the list
-    position: str = ""  # field of an element that holds its place; "": elements are Points
-    radius: float = 0.3  # within which an element counts as reached [m]
+    variable: str  # name of the shared list
+    position: str = ""  # field of a list element that holds its place; "": elements are Points
+    radius: float = 0.3  # distance within which a robot has reached an element [m]
 
 
-class World(msgspec.Struct, frozen=True):
-    """Conditions of the world, as the fleet file gives them."""
+class WorldRecord(msgspec.Struct, frozen=True):
+    """World of the fleet: arena, floor, wind and markers, from the fleet file."""
 
-    arena: Box | None = None  # room in which the fleet moves
-    floor_friction: float = 1.0  # multiplies the friction that bodies have on a usual floor
-    wind: Wind = Wind()  # of the air
-    markers: tuple[Marker, ...] = ()  # that stay where they are
-    marker_list: MarkerList | None = None  # of markers that are in a shared list
+    arena: BoxRecord | None = None  # box in which the fleet moves; null: not given
+    floor_friction: float = 1.0  # factor of the usual friction between robots and the floor
+    wind: Wind = Wind()  # wind in the arena
+    markers: tuple[Marker, ...] = ()  # markers with fixed places
+    marker_list: MarkerList | None = None  # shared list whose elements are markers; null: none
 
 
 class RobotHeader(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
@@ -110,93 +111,93 @@ class RobotHeader(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
 
     format: str  # version of the trace: koord-trace/2
     app: str  # name of the program
-    applications: tuple[str, ...]  # names of the applications that records name; one today, `app`
+    applications: tuple[str, ...]  # names of the applications in this trace; today only `app`
     robot: str  # name of the robot
-    pid: int  # of the robot, from 0
+    pid: int  # number of the robot, from 0
     n_sys: int  # number of robots in the fleet
     delta: float  # length of a round [s]
-    program_hash: str  # 16 hexadecimal digits
-    part: int | UnsetType = UNSET  # number of a later part of the trace, from 1
-    followed: str | UnsetType = UNSET  # as in the header of a merged trace
+    program_hash: str  # hash of the program: 16 hexadecimal digits
+    part: int | UnsetType = UNSET  # number of this part of the trace, from 1, unless it is the first part
+    followed: str | UnsetType = UNSET  # the run executed a counterexample, a "run" or a "step"
 
 
 class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
-    """First record of a merged trace: the run, its fleet, its world and its shared variables."""
+    """First record of a merged trace: describes the run, the fleet, the world and the shared variables."""
 
     format: str  # version of the trace: koord-trace/2
     app: str  # name of the program
-    program_hash: str  # 16 hexadecimal digits; "": a counterexample of a program without numbers that robots have
+    program_hash: str  # hash of the program: 16 hexadecimal digits; "": a counterexample with numbers that robots lack
     delta: float  # length of a round [s]
-    seed: int  # of the simulator's random numbers
-    robots: tuple[RobotName, ...]  # by pid
-    duration: float = 0.0  # of the mission as asked for [s]
-    started: bool = True  # there was a round 1; if not, t counts from the launch
-    min_separation: float = 0.0  # smallest distance of two robots as asked for; 0: none [m]
-    geofence: tuple[Vector, Vector] | None = None  # lower and upper corner [m]
-    obstacles: tuple[Obstacle, ...] = ()  # as in a robot's settings; records name them by number, from 0
-    world: World = World()  # conditions of the world
-    shared: tuple[Shared, ...] = ()  # shared variables of the program
-    records: dict[str, tuple[tuple[str, str], ...]] = {}  # record types of the program: fields and their types
-    followed: str = ""  # the run executed a counterexample, a "run" or a "step"; "": none
-    applications: tuple[str, ...] = ()  # names of the applications that records name; one today, `app`
-    counterexample: Literal["run", "step"] | UnsetType = UNSET  # no run of robots: from an initial state, from any
-    params: Mapping[str, Any] | UnsetType = UNSET  # of a counterexample: values of the program's params
-    given: tuple[str, ...] | UnsetType = UNSET  # of a counterexample: params whose values the user gave
+    seed: int  # seed of the simulator's random numbers
+    robots: tuple[RobotName, ...]  # robots of the run, in the order of their pids
+    duration: float = 0.0  # length of the mission that the user asked for [s]
+    started: bool = True  # the fleet began round 1; if not, `t` counts from the launch
+    min_separation: float = 0.0  # required smallest distance between two robots; 0: no requirement [m]
+    geofence: tuple[Vector, Vector] | None = None  # lower and upper corner of the geofence; null: no geofence [m]
+    obstacles: tuple[Obstacle, ...] = ()  # obstacles in the form of a robot's settings; records number them from 0
+    world: WorldRecord = WorldRecord()  # arena, floor, wind and markers
+    shared: tuple[SharedVariable, ...] = ()  # shared variables of the program
+    records: dict[str, tuple[tuple[str, str], ...]] = {}  # record types: name -> names and types of the fields
+    followed: str = ""  # the run executed a counterexample, a "run" or a "step"; "": it did not
+    applications: tuple[str, ...] = ()  # names of the applications in this trace; today only `app`
+    counterexample: Literal["run", "step"] | UnsetType = UNSET  # of a counterexample: begins at initial or at any state
+    params: Mapping[str, Any] | UnsetType = UNSET  # only of a counterexample: values of the program's params
+    given: tuple[str, ...] | UnsetType = UNSET  # only of a counterexample: params whose values the user gave
 
 
-class Pose(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
-    """True place of a robot in a simulation, `pose_rate` times a second.
+class PoseRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
+    """Position and heading of a robot.
 
-    In a flight the measured one, once a round."""
+    In a simulation this is the true pose, `pose_rate` times a second; in a flight the measured pose, once a round."""
 
-    pid: int  # of the robot
-    position: Vector  # place [m]
-    yaw: float  # heading [rad]
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
+    pid: int  # number of the robot
+    position: Vector  # position of the robot [m]
+    yaw: float  # heading of the robot [rad]
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
 
 
 class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
-    """A robot's agent is in a phase, or its progress in the phase has changed."""
+    """A robot's agent entered a phase, or made progress in its phase."""
 
-    phase: str  # starting, joining, running, resting, rested
-    detail: str = ""  # cause or progress, for people
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
+    phase: str  # phase of the agent: starting, joining, running, stopping, stopped
+    detail: str = ""  # cause of the phase, or progress in it, as text for users
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
 
 
-class Init(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
-    """A robot has run `init`."""
+class InitRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="init"):
+    """Run of `init` on a robot."""
 
-    sensors: Values = {}  # as sampled before
-    locals: Values = {}  # all of them, afterwards
-    shared: Values = {}  # those that were written
-    actuators: Values = {}  # all that have a value, afterwards
-    violated: tuple[int, ...] = ()  # lines of the loop invariants that were false
-    stopped: bool = False  # the program has stopped
-    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()  # as in `round`
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
-    application: str = ""  # whose `init`
+    sensors: Values = {}  # sensor values that `init` read
+    locals: Values = {}  # all local variables after `init`
+    shared: Values = {}  # shared variables that `init` wrote
+    actuators: Values = {}  # all actuators that have a value after `init`
+    violated: tuple[int, ...] = ()  # source lines of the loop invariants that were false in `init`
+    stopped: bool = False  # the program has stopped on this robot
+    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()  # calls of ports: name, arguments, answer
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
+    application: str = ""  # name of the application whose `init` ran
 
 
 class Restored(msgspec.Struct, frozen=True):
-    """A robot's own variables after its event of a round."""
+    """Local variables and actuators of a robot after a round."""
 
-    round: LastRound  # after which the values were these; 0: after `init`
-    locals: Values = {}  # all of them
-    actuators: Values = {}  # all that have a value
-    stopped: bool = False  # the program has stopped
+    round: LastRound  # round after which the variables had these values; 0: `init`
+    locals: Values = {}  # all local variables
+    actuators: Values = {}  # all actuators that have a value
+    stopped: bool = False  # the program has stopped on this robot
 
 
 class EventFault(msgspec.Struct, frozen=True):
-    """Cause for which an event's writes were discarded."""
+    """Reason for which an event was discarded."""
 
-    file: str  # of the program
-    line: int  # in that file; 0: not known
-    reason: str  # for people
+    file: str  # file of the program text
+    line: int  # line in the program text; 0: not known
+    reason: str  # reason as text for users
 
     def __str__(self) -> str:
         place = f"{self.file}:{self.line}" if self.line else self.file
@@ -204,142 +205,142 @@ class EventFault(msgspec.Struct, frozen=True):
 
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
-    """One round of a robot, written when the round is certain to count."""
+    """One round of a robot. The robot writes this record when the round is committed."""
 
-    round: RoundNumber  # from 1; 0 only in a counterexample
-    event: str | None = None  # that ran or was discarded; null: none was
-    skipped: str | None = None  # reason for which no event ran
-    fault: EventFault | None = None  # of the event, whose writes do not count then
-    late: float = 0.0  # from the start of the round to its decision [s]
-    sensors: Values = {}  # as sampled at the start of the round
-    locals: Values = {}  # that the event wrote
-    shared: Values = {}  # that the event wrote; of an allread variable the robot's own value
-    actuators: Values = {}  # that the event wrote
-    copy: Values = {}  # changes of the robot's copy of the shared variables before the event; allread: by pid
-    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()  # callable ports: name, arguments, answer
-    violated: tuple[int, ...] = ()  # lines of the loop invariants that were false in the event
-    stopped: bool = False  # the program has stopped
-    restored: Restored | None = None  # state with which a robot that rejoined went on
-    clock_bound: float = 0.0  # largest error of the robot's fleet time [s]
-    counters: Mapping[str, int] = {}  # counters of the runtime that have changed since the round before
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
-    application: str = ""  # whose event
-    step: str | UnsetType = UNSET  # of a counterexample: the step after which the values are those of this record
+    round: RoundNumber  # number of the round, from 1; 0 only in a counterexample
+    event: str | None = None  # event that ran or was discarded; null: no event
+    skipped: str | None = None  # reason for which no event ran; null: an event ran
+    fault: EventFault | None = None  # reason for which the event was discarded; null: it was not
+    late: float = 0.0  # delay from the start of the round until the robot chose its event [s]
+    sensors: Values = {}  # sensor values at the start of the round
+    locals: Values = {}  # local variables that the event wrote
+    shared: Values = {}  # shared variables that the event wrote; of an allread variable the robot's own slot
+    actuators: Values = {}  # actuators that the event wrote
+    copy: Values = {}  # shared variables that changed in the robot's copy before the event; allread: pid -> value
+    calls: tuple[tuple[str, tuple[msgspec.Raw, ...], msgspec.Raw], ...] = ()  # calls of ports: name, arguments, answer
+    violated: tuple[int, ...] = ()  # source lines of the loop invariants that were false in the event
+    stopped: bool = False  # the program has stopped on this robot
+    restored: Restored | None = None  # state with which the robot continued when it rejoined before this round
+    clock_bound: float = 0.0  # largest possible error of the robot's fleet time [s]
+    counters: Mapping[str, int] = {}  # counters of the runtime that changed since the round before
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
+    application: str = ""  # name of the application whose event it is
+    step: str | UnsetType = UNSET  # only of a counterexample: step that led to the values of this record
 
 
 class Checkpoint(msgspec.Struct, frozen=True, tag_field="kind", tag="checkpoint"):
-    """State at the beginning of a later part of a robot's trace."""
+    """State of a robot at the beginning of a part of its trace, so that a reader needs no older parts."""
 
-    round: LastRound  # that earlier parts record last; 0: `init`, -1: none
-    own: Restored | None = None  # own variables after that round; null: not known
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
-    application: str = ""  # whose variables
+    round: LastRound  # last round in the earlier parts; 0: `init`, -1: none
+    own: Restored | None = None  # robot's own variables after that round; null: not known
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
+    application: str = ""  # name of the application whose variables these are
 
 
-class View(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
-    """Another membership view counts."""
+class ViewRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="view"):
+    """Beginning of a new membership view."""
 
-    number: RoundNumber  # of the view, from 0
+    number: RoundNumber  # number of the view, from 0
     since: Annotated[int, Meta(ge=-MOST_ROUND, le=MOST_ROUND)]  # first round of the view
-    members: tuple[Incarnation, ...]  # by pid: earlier starts of the robot's agent; -1: it does not count
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
+    members: tuple[Incarnation, ...]  # incarnation of each robot, in the order of their pids; -1: no member
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
 
 
-class Log(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
-    """A log line of the agent."""
+class LogLine(msgspec.Struct, frozen=True, tag_field="kind", tag="log"):
+    """Log line of a robot's agent."""
 
-    level: str = "info"  # info, warning, error
-    message: str = ""  # for people
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
+    level: str = "info"  # level of the log line: info, warning, error
+    message: str = ""  # text of the log line
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
 
 
 class Stall(msgspec.Struct, frozen=True, tag_field="kind", tag="stall"):
-    """A robot has no path to its target, or has one again. A `log` record has the same in words."""
+    """Stall of a robot: it has no path to its target. A `log` record reports the same stall as text."""
 
-    state: Literal["begins", "goes on", "ends"]  # of the stall
-    why: str  # the target, and the obstacle
-    lasted: float  # length so far [s]
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
+    state: Literal["begins", "goes on", "ends"]  # change of the stall
+    why: str  # text that names the target and the obstacle
+    lasted: float  # time since the stall began [s]
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
 
 
-class Stream(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
-    """A line of text that the program sent to a stream."""
+class StreamLine(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
+    """Line of text that the program wrote to a stream."""
 
     port: str  # name of the stream
-    text: str  # one line
-    round: RoundNumber = 0  # whose event sent it
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
-    application: str = ""  # whose text
+    text: str  # line without its line end
+    round: RoundNumber = 0  # round whose event wrote the line; 0: `init`
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
+    application: str = ""  # name of the application that wrote the line
 
 
 class Monitor(msgspec.Struct, frozen=True, tag_field="kind", tag="monitor"):
-    """A property has another outcome than before, by one robot's knowledge."""
+    """New verdict of a robot's monitor on a property."""
 
-    of: str  # invariant, assume, requires, ensures, loop invariant
-    name: str  # of the property
-    line: str  # such as app.koord:12
-    outcome: str  # held, violated, no value, unknown
-    age: Annotated[int, Meta(ge=0)] = 0  # of the oldest value that was read [rounds]
-    why: str = ""  # values that were read, for people
-    action: str = "log"  # log, hold, land, stop
-    round: RoundNumber = 0  # at whose start the outcome is true
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
-    application: str = ""  # whose property
+    of: str  # kind of the property: invariant, assume, requires, ensures, loop invariant
+    name: str  # name of the property
+    line: str  # place of the property, such as app.koord:12
+    outcome: str  # verdict: held, violated, no value, unknown
+    age: Annotated[int, Meta(ge=0)] = 0  # age of the oldest value that the monitor read [rounds]
+    why: str = ""  # values that the monitor read, as text for users
+    action: str = "log"  # reaction of the robot to a violation: log, hold, land, stop
+    round: RoundNumber = 0  # round for whose start the verdict is valid
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
+    application: str = ""  # name of the application that has the property
 
 
 class PeerQuality(TypedDict, total=False):
-    """Quality of the link from one peer, in Metrics."""
+    """Quality of the link from one other robot (peer), as Metrics contains it."""
 
-    loss: float | None  # share of the datagrams that were sent lately; null: none was
-    delay_ms: dict[str, float]  # percentiles of the datagrams' delay: p50, p99, max [ms]
-    silent_ms: float | None  # time since its last datagram; null: there was none [ms]
-    longest_silence_ms: float  # longest time between two of its datagrams [ms]
-    behind: int  # rounds of it that are not known yet [rounds]
-    repeats: int  # its datagrams that were repetitions
+    loss: float | None  # share of the peer's recent datagrams that were lost; null: it sent none
+    delay_ms: dict[str, float]  # percentiles of the delay of the peer's datagrams: p50, p99, max [ms]
+    silent_ms: float | None  # time since the peer's last datagram; null: it sent none [ms]
+    longest_silence_ms: float  # longest time between two datagrams of the peer [ms]
+    behind: int  # number of the peer's round messages that have not arrived yet [rounds]
+    repeats: int  # number of the peer's datagrams that were repetitions
 
 
-class Metrics(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
-    """Quality of a robot's links and rounds, every 10 s."""
+class MetricsRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="metrics"):
+    """Quality of a robot's links and rounds, recorded every 10 s."""
 
-    late_ms: Mapping[str, float] = {}  # percentiles of `late`: p50, p99, max [ms]
-    rejected: Mapping[str, int] = {}  # datagrams that were rejected, by cause
-    peers: Mapping[str, PeerQuality] = {}  # by pid
-    rounds: int = 0  # that the robot has finished
-    current: int = 0  # of these, those in which its copy of the shared variables was complete in time
-    events: int = 0  # of these, those with an event
-    skipped: Mapping[str, int] = {}  # of these, those without one, by reason
-    time: float = 0.0  # in a robot's own trace: by the robot's clock [s]
-    t: float = 0.0  # in a merged trace: since the start of round 1 [s]
-    pid: int = -1  # in a merged trace: of the robot
+    late_ms: Mapping[str, float] = {}  # percentiles of `late` of the rounds: p50, p99, max [ms]
+    rejected: Mapping[str, int] = {}  # cause -> number of datagrams that were rejected
+    peers: Mapping[str, PeerQuality] = {}  # pid of a peer -> quality of the link from it
+    rounds: int = 0  # number of rounds that the robot has finished
+    current: int = 0  # number of finished rounds in which the robot was current
+    events: int = 0  # number of finished rounds with an event
+    skipped: Mapping[str, int] = {}  # reason -> number of finished rounds without an event
+    time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+    pid: int = -1  # only in a merged trace: number of the robot
 
 
 class Violation(msgspec.Struct, frozen=True, tag_field="kind", tag="violation"):
-    """A run was not as it must be."""
+    """Violation of a property or of another requirement in a run."""
 
-    t: float  # since the start of round 1 [s]
-    what: str  # separation, collision, ended, fault, unrest, property, idle
-    robots: tuple[str, ...]  # names of those that had a part in it
-    detail: str  # for people
-    name: str = ""  # of the property
-    line: str = ""  # of the property, such as app.koord:12
-    host: str = ""  # how the computer caused it; "": it did not
-    application: str = ""  # of a property and of a fault
-    pid: int | UnsetType = UNSET  # of a counterexample: robot whose next event has no result
-    event: str | UnsetType = UNSET  # of a counterexample: that event
+    t: float  # time since the start of round 1 [s]
+    what: str  # kind: separation, collision, ended, fault, not_stopped, property, idle
+    robots: tuple[str, ...]  # names of the robots that took part in the violation
+    detail: str  # description for users
+    name: str = ""  # name of the violated property, if `what` is "property"
+    line: str = ""  # place of the violated property, such as app.koord:12
+    host: str = ""  # how a busy computer caused the violation; "": it did not
+    application: str = ""  # name of the application that has the property or the fault
+    pid: int | UnsetType = UNSET  # only of a counterexample: number of the robot whose next event has no result
+    event: str | UnsetType = UNSET  # only of a counterexample: event that has no result
 
 
 Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
@@ -348,43 +349,43 @@ Found = Literal["held", "violated", "no value", "unchecked", "out of model"]
 class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     """Verdict of a simulated run on one property, at the mission's end.
 
-    A loop invariant has one only if it was ever false."""
+    A loop invariant has a verdict only if it was ever false."""
 
-    t: float  # since the start of round 1 [s]
-    of: str  # invariant, initially, assume, axiom, loop invariant
-    name: str  # of the property
-    line: str  # such as app.koord:12
-    outcome: Found  # of the whole run
-    since: float | None = None  # when it was first violated, without value or out of model; null: never [s]
-    robots: tuple[str, ...] = ()  # names of those for which it was false
-    detail: str = ""  # values that were read, for people
-    moments: int = 0  # at which it was evaluated
-    application: str = ""  # whose property
+    t: float  # time since the start of round 1 [s]
+    of: str  # kind of the property: invariant, initially, assume, axiom, loop invariant
+    name: str  # name of the property
+    line: str  # place of the property, such as app.koord:12
+    outcome: Found  # verdict on the whole run
+    since: float | None = None  # time of the first violation, missing value or state out of model; null: none [s]
+    robots: tuple[str, ...] = ()  # names of the robots for which the property was false
+    detail: str = ""  # values that the property read, as text for users
+    observations: int = 0  # number of times at which the property was evaluated
+    application: str = ""  # name of the application that has the property
 
 
 class Cause(msgspec.Struct, frozen=True, tag_field="kind", tag="cause"):
-    """A fault was injected."""
+    """Fault that the simulator injected into a run."""
 
-    t: float  # since the start of round 1 [s]
-    what: str  # network, link, follow, or a kind of event of the scenario file
-    robots: tuple[str, ...]  # names
-    detail: str = ""  # for people
-    lasts: float | None = None  # duration; null: for good, or no time at all [s]
+    t: float  # time since the start of round 1 [s]
+    what: str  # kind: network, link, follow, or an event's kind in the scenario file
+    robots: tuple[str, ...]  # names of the robots that the fault affects
+    detail: str = ""  # description of the fault for users
+    lasts: float | None = None  # duration of the fault; null: it does not end, or it takes no time [s]
 
 
 class Moved(msgspec.Struct, frozen=True, tag_field="kind", tag="moved"):
-    """An obstacle was moved, as a fault."""
+    """Obstacle that an injected fault moved."""
 
-    t: float  # since the start of round 1 [s]
-    number: int  # in the header's `obstacles`, from 0
-    obstacle: Obstacle  # at its new place
+    t: float  # time since the start of round 1 [s]
+    number: int  # number of the obstacle in the header's `obstacles`, from 0
+    obstacle: Obstacle  # obstacle at its new place
 
 
 class End(msgspec.Struct, frozen=True, tag_field="kind", tag="end"):
-    """The mission's end: the agents were asked to stop."""
+    """End of the mission: the simulator asked the agents to stop."""
 
-    t: float  # since the start of round 1 [s]
-    why: str  # for people
+    t: float  # time since the start of round 1 [s]
+    why: str  # reason for the end, as text for users
 
 
 class _Kind(msgspec.Struct):
@@ -392,7 +393,19 @@ class _Kind(msgspec.Struct):
 
 
 Mark = Violation | Verdict | Cause | Moved | End
-OfRobot = Pose | Phase | Init | Round | Checkpoint | View | Log | Stall | Stream | Monitor | Metrics
+OfRobot = (
+    PoseRecord
+    | Phase
+    | InitRecord
+    | Round
+    | Checkpoint
+    | ViewRecord
+    | LogLine
+    | Stall
+    | StreamLine
+    | Monitor
+    | MetricsRecord
+)
 TraceRecord = Header | OfRobot | Mark
 KINDS: dict[str, type[msgspec.Struct]] = {str(kind.__struct_config__.tag): kind for kind in TraceRecord.__args__}
 OF_APPLICATIONS = frozenset(kind for kind, type_ in KINDS.items() if "application" in type_.__struct_fields__)
@@ -406,7 +419,7 @@ encoded = _encoder.encode
 
 
 def decoded(line: bytes) -> TraceRecord | None:
-    """Return the record of a line; None if this version does not know its kind.
+    """Return the record in a line of a trace; None if this version does not know the record's kind.
 
     Raises msgspec.DecodeError."""
     try:
@@ -421,14 +434,14 @@ def decoded(line: bytes) -> TraceRecord | None:
 
 
 def decoded_header(line: bytes) -> Header | RobotHeader:
-    """Return the header in a line: of a robot's own trace if it names a robot. Raises msgspec.DecodeError."""
+    """Return the header in a line: a RobotHeader if the line has the key `robot`. Raises msgspec.DecodeError."""
     return _robot_header.decode(line) if "robot" in _raw.decode(line) else _header.decode(line)
 
 
 def misfit(line: bytes) -> str:
-    """Return why a line does not fit the schema.
+    """Return the reason why a line of a trace does not fit the schema.
 
-    Empty if it does, or if this version does not know its kind."""
+    Return "" if the line fits, or if this version does not know the record's kind."""
     try:
         decoded(line)
     except (ValueError, RecursionError) as error:
@@ -437,15 +450,15 @@ def misfit(line: bytes) -> str:
 
 
 def plain(record: msgspec.Struct) -> dict[str, Any]:
-    """Return a record as JSON has it, of lists and dicts."""
+    """Convert a record to the lists, dicts, numbers and strings that its JSON text denotes."""
     found: dict[str, Any] = msgspec.to_builtins(record)
     return found
 
 
 def format_of(line: bytes) -> str:
-    """Return the format of the trace that begins with this line.
+    """Return the format of the trace that begins with a line; "" if the line is no header of a trace.
 
-    Empty if the line is no header of a trace. Raises ValueError if this version cannot read the format."""
+    Raises ValueError if this version cannot read the format."""
     format_ = str(_header_in(line).get("format", ""))
     if format_ not in ("", OLD_FORMAT, FORMAT):
         raise ValueError(f"its format is {format_}; this koordgen reads {OLD_FORMAT} and {FORMAT}")
@@ -453,7 +466,7 @@ def format_of(line: bytes) -> str:
 
 
 def _header_in(line: bytes) -> Mapping[str, Any]:
-    """Return the header of a trace in a line; empty if there is none."""
+    """Return the header of a trace that a line contains; an empty mapping if the line contains none."""
     if b'"header"' not in line:
         return {}
     try:
@@ -465,10 +478,10 @@ def _header_in(line: bytes) -> Mapping[str, Any]:
 
 
 def upgraded(line: bytes, application: str) -> bytes:
-    """Return a line of a koord-trace/1 trace as koord-trace/2 has it.
+    """Convert a line of a koord-trace/1 trace to koord-trace/2.
 
-    A header with `applications`, a record that stems from an application's event with `application`. All other lines
-    are returned as they are."""
+    A header gets the key `applications`. A record that an application's event caused gets the key `application`. All
+    other lines are returned unchanged."""
     try:
         record = _raw.decode(line)
         kind = str(msgspec.json.decode(record["kind"]))
@@ -488,13 +501,13 @@ def _is_of_event(kind: str, record: Mapping[str, msgspec.Raw]) -> bool:
 
 
 class Upgrade:
-    """Reader of one file's lines: returns each as the present format has it, by the headers in the file."""
+    """Converter of the lines of one trace file to the present format. The headers in the file name the old format."""
 
     def __init__(self) -> None:
-        self._application: str | None = None  # of a trace of the old format
+        self._application: str | None = None  # application in a file of the old format; None: present format
 
     def line(self, line: bytes) -> bytes:
-        """Return the next line of the file. Raises ValueError if this version cannot read its format."""
+        """Convert the next line of the file. Raises ValueError if this version cannot read the file's format."""
         format_ = format_of(line)
         if format_:
             self._application = str(_header_in(line).get("app", "")) if format_ == OLD_FORMAT else None

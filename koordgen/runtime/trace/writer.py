@@ -1,10 +1,10 @@
-"""Writer of a robot's trace: JSON lines as in `schema`, one per round, for simulators and replay.
+"""Writer of a robot's trace: lines of JSON as `schema` defines them, for simulators and `replay`.
 
-A trace alone has all inputs and results of events: `replay` uses nothing else. A full or missing disk ends the trace
-with one warning, never the robot.
+A trace contains all inputs and results of events, so `replay` needs no other file. A full or missing disk ends the
+trace with one warning. The robot goes on.
 
-A trace with a limit is written in parts (see `parts`). A part begins with everything that a reader needs without the
-older parts, which may have been deleted: header, phases, view and checkpoint."""
+A trace with a size limit is written in parts (see `parts`). Older parts may be deleted, so each part begins with all
+that a reader needs: header, phases, view and checkpoint."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ import msgspec
 
 from koordgen.runtime.program.program import Calls, Effects, Fault, Frame, Life, Program
 from koordgen.runtime.trace import schema
-from koordgen.runtime.trace.parts import Parts
+from koordgen.runtime.trace.parts import TraceFileParts
 from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
 
-if TYPE_CHECKING:  # imports this module itself
+if TYPE_CHECKING:  # a real import would be a cycle: `monitored` imports this module
     from koordgen.runtime.trace.monitored import Change
 
 STARTING = "starting"  # first phase of every trace
 
 
-class Record(msgspec.Struct, frozen=True):
-    """Record of a round, for the trace and for monitors. Times in seconds of the local clock."""
+class RoundRecord(msgspec.Struct, frozen=True):
+    """Record of one round for the trace and for monitors. Times are seconds of the robot's local clock."""
 
     round: int
     time: float
-    late: float  # seconds from the tick to the decision
+    late: float  # seconds from the start of the round until the robot chose its event
     sensors: Mapping[str, Any]
     frame: Frame | None  # input of the event; None if the round was skipped
     event: str | None = None
@@ -41,36 +41,38 @@ class Record(msgspec.Struct, frozen=True):
     restored: Life | None = None  # state with which the robot continued, if it rejoined before this round
 
 
-Observe = Callable[[Record], None]
+Observe = Callable[[RoundRecord], None]
 
 
 class Trace:
-    """Writer to `file`, each round at once; without a file it does nothing. `warn` reports an early end."""
+    """Writer of a robot's trace. Each record is written to `file` immediately; without a file nothing is written.
 
-    def __init__(self, file: IO[bytes] | Parts | None, warn: Callable[[str], None]) -> None:
+    `warn` is called with a message if the trace ends because of an error."""
+
+    def __init__(self, file: IO[bytes] | TraceFileParts | None, warn: Callable[[str], None]) -> None:
         self._file = file
         self._warn = warn
         self._encoder = msgspec.json.Encoder(enc_hook=repr)
         self._pid = -1
         self._application = ""
         self._slots: Collection[str] = ()
-        self._told: dict[str, Any] = {}  # shared store as recorded in this part
-        # For the beginning of the next part:
+        self._recorded: dict[str, Any] = {}  # shared variables as the records of this part give them
+        # The fields below are written at the beginning of the next part.
         self._header: schema.RobotHeader | None = None
         self._part = 0
         self._phase = ""
-        self._phases: dict[str, schema.Phase] = {}  # first record of each phase but the first
-        self._view: schema.View | None = None
+        self._phases: dict[str, schema.Phase] = {}  # first record of each phase except STARTING
+        self._view: schema.ViewRecord | None = None
         self._life: Life | None = None  # private variables after the last recorded round; None: unknown
-        self._last = -1  # that round; 0: `init`
+        self._last = -1  # number of the last recorded round; 0: `init`; -1: none
 
     @property
     def open(self) -> bool:
-        """True if records are written."""
+        """True until the trace is closed or ended by an error."""
         return self._file is not None
 
     def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
-        """Write the header, before all other records."""
+        """Write the header of the trace. Call this before all other methods that write records."""
         self._slots = [v.name for v in program.shared if v.kind == "allread"]
         self._pid, self._application = pid, program.name
         self._header = schema.RobotHeader(
@@ -80,18 +82,18 @@ class Trace:
 
     def phase(self, time: float, phase: str, detail: str) -> None:
         record = schema.Phase(phase, detail, time, LEFT_OUT, LEFT_OUT)
-        self._tell(record, time)
+        self._write_record(record, time)
         if phase != self._phase:
             self._phase = phase
             if phase != STARTING:
                 self._phases[phase] = record
 
     def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
-        """Write a record of `init`: its input and writes, and all private variables `after` it."""
+        """Write a record of `init`: its sensor values, its writes, and all private variables `after` it."""
         self._turn_if_full(time)
-        self._told, self._life, self._last = {}, after, 0
+        self._recorded, self._life, self._last = {}, after, 0
         self._write(
-            schema.Init(
+            schema.InitRecord(
                 sensors=sensors,
                 locals=after.locals,
                 shared=effects.shared,
@@ -107,44 +109,48 @@ class Trace:
         )
 
     def view(self, time: float, number: int, since: int, members: Sequence[int]) -> None:
-        """Write the view from round `since` on: each robot's incarnation, -1 for a non-member."""
-        record = schema.View(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
-        self._tell(record, time)
+        """Write the view that begins at round `since`. `members`: each robot's incarnation, -1 for a non-member."""
+        record = schema.ViewRecord(number, since, tuple(members), time, LEFT_OUT, LEFT_OUT)
+        self._write_record(record, time)
         self._view = record
 
     def log(self, time: float, level: str, message: str) -> None:
-        self._tell(schema.Log(level, message, time, LEFT_OUT, LEFT_OUT), time)
+        self._write_record(schema.LogLine(level, message, time, LEFT_OUT, LEFT_OUT), time)
 
     def stall(self, time: float, state: Literal["begins", "goes on", "ends"], why: str, lasted: float) -> None:
-        """Write that a stall begins, goes on or ends (see `stall`); `lasted` is its length in seconds so far."""
-        self._tell(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
+        """Write that a stall of the vehicle begins, goes on or ends. `lasted`: seconds since the stall began."""
+        self._write_record(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
 
     def stream(self, time: float, round_: int, port: str, text: str) -> None:
-        """Write a line of the program's output; round 0 is `init`. It is in the same part as its round."""
-        self._write(schema.Stream(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
+        """Write a line of the program's output in a round; round 0 is `init`.
+
+        Line and round are in the same part of the trace."""
+        self._write(schema.StreamLine(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
-        """Write the quality of the robot's links and rounds (see `metrics`)."""
-        self._tell(schema.Metrics(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
+        """Write a snapshot of the quality of the robot's links and rounds."""
+        self._write_record(schema.MetricsRecord(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
     def monitor(self, change: Change) -> None:
-        """Write a change of a property's verdict."""
+        """Write a change of a monitored property's verdict."""
         record = schema.Monitor(
             change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
             change.time, LEFT_OUT, LEFT_OUT, self._application,
         )  # fmt: skip
-        self._tell(record, change.time)
+        self._write_record(record, change.time)
 
-    def round(self, record: Record, clock_bound: float, counters: Mapping[str, int]) -> None:
-        """Write one round; `clock_bound` is the largest error of fleet time (s), `counters` the changed ones.
+    def round(self, record: RoundRecord, clock_bound: float, counters: Mapping[str, int]) -> None:
+        """Write one round of the robot.
 
-        Locals are those that the event wrote. `copy` has the changes of this robot's copy of the shared store since the
-        last record; an allread variable by pid."""
+        `clock_bound`: largest error of the robot's fleet time in seconds. `counters`: the counters that changed.
+        `locals` of the record contains the local variables that the event wrote. `copy` of the record contains the
+        changes of the robot's copy of the shared variables since the last record; for an allread variable pid -> value.
+        """
         self._turn_if_full(record.time)
         fault, effects, restored = record.fault, record.effects, record.restored
         shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
         violated, stopped = (effects.violated, effects.stopped) if effects else ((), False)
-        # By position, in the order of the schema: keywords cost five times as much.
+        # Arguments are passed by position, in the order of the schema: keyword arguments take five times as long.
         line = schema.Round(
             record.round, record.event, record.skipped,
             schema.EventFault(fault.file, fault.line, fault.reason) if fault else None,
@@ -158,8 +164,8 @@ class Trace:
         self._write(line)
         self._live(record)
 
-    def _live(self, record: Record) -> None:
-        """Update the private variables by a recorded round."""
+    def _live(self, record: RoundRecord) -> None:
+        """Update this robot's private variables with the effects of a recorded round."""
         self._last, effects = record.round, record.effects
         life = self._life = record.restored or self._life
         if life is not None and effects is not None:
@@ -167,9 +173,11 @@ class Trace:
             self._life = Life(record.round, effects.locals, actuators, stopped)
 
     def _turn_if_full(self, time: float) -> None:
-        """Begin another part if the current one is full; never between a round and its streams."""
+        """Begin a new part of the trace if the current part is full.
+
+        This is never called between the record of a round and the streams of that round."""
         parts = self._file
-        if not isinstance(parts, Parts) or not parts.full:
+        if not isinstance(parts, TraceFileParts) or not parts.full:
             return
         try:
             parts.turn()
@@ -177,7 +185,7 @@ class Trace:
             self._end(error)
             return
         self._part += 1
-        self._told = {}
+        self._recorded = {}
         if self._header is not None:
             self._write(msgspec.structs.replace(self._header, part=self._part))
         for record in self._phases.values():
@@ -188,13 +196,13 @@ class Trace:
         self._write(schema.Checkpoint(self._last, own, time, LEFT_OUT, LEFT_OUT, self._application))
         parts.began()
 
-    def _changed(self, record: Record) -> dict[str, Any]:
-        """Return the changes of the shared store since the last record, by object identity.
+    def _changed(self, record: RoundRecord) -> dict[str, Any]:
+        """Return the shared variables that changed since the last record; a new object counts as a change.
 
-        A robot's own slots are recorded with its events. An allwrite variable may have been written by another
-        robot."""
+        The robot's own slots are left out, because they are recorded with its events. Allwrite variables are included,
+        because another robot may have written them."""
         found: dict[str, Any] = {}
-        frame, told = record.frame, self._told
+        frame, told = record.frame, self._recorded
         if frame is None:
             return found
         for name, value in frame.shared.items():
@@ -207,9 +215,9 @@ class Trace:
             elif before is None:
                 found[name] = dict(enumerate(value))
             else:
-                news = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
-                if news:
-                    found[name] = news
+                changed = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
+                if changed:
+                    found[name] = changed
         return found
 
     def close(self) -> None:
@@ -218,8 +226,8 @@ class Trace:
                 self._file.close()
             self._file = None
 
-    def _tell(self, record: msgspec.Struct, time: float) -> None:
-        """Write a record that may also go into the next part."""
+    def _write_record(self, record: msgspec.Struct, time: float) -> None:
+        """Write a record for which a new part of the trace may be begun."""
         self._turn_if_full(time)
         self._write(record)
 
@@ -241,8 +249,8 @@ def _restored(life: Life) -> schema.Restored:
     return schema.Restored(life.round, life.locals, life.actuators, life.stopped)
 
 
-def _written(record: Record) -> dict[str, Any]:
-    """Return the locals that the event wrote."""
+def _written(record: RoundRecord) -> dict[str, Any]:
+    """Return the local variables that the event of a round wrote."""
     effects, frame = record.effects, record.frame
     if effects is None or frame is None:
         return {}

@@ -1,6 +1,7 @@
-"""Size limits of variables: maximal bytes on the wire, and why a value does not fit.
+"""Size limits of variables: largest number of bytes on the wire, and a check of whether a value fits.
 
-Mirrors the structure of a Koord type; koordgen/build/emit/types.py writes these objects into generated programs."""
+The classes follow the structure of Koord's types. koordgen/build/emit/types.py writes their objects into generated
+programs."""
 
 from __future__ import annotations
 
@@ -12,14 +13,14 @@ from koordgen.runtime.values.containers import is_map, is_set
 from koordgen.runtime.values.gridmap import GridMap, sound
 from koordgen.runtime.values.points import INT_MAX, INT_MIN, Grid, Opaque, Scan
 
-NUMBER = 9  # bytes of an int or a float in MessagePack's longest form
+NUMBER = 9  # largest number of bytes of an int or a float in MessagePack
 
 
 class Bound(Protocol):
     """Size limit of a value.
 
-    `flaw` returns what is wrong with a value of the right type, as the end of "x would become ..."; "" if it fits and
-    Koord's operations can produce it."""
+    `flaw` checks a value of the right type. It returns "" if the value fits and Koord's operations can produce it,
+    otherwise a description of the value, as the end of the sentence "x would become ..."."""
 
     @property
     def bytes(self) -> int: ...
@@ -28,13 +29,13 @@ class Bound(Protocol):
 
 
 def fits(bound: Bound, value: Any) -> bool:
-    """Return whether a value is within its limits."""
+    """Return whether a value is within its size limit."""
     return not bound.flaw(value)
 
 
 @dataclass(frozen=True, slots=True)
 class Fixed:
-    """Limit of a value of constant length: a number, a Point, a Pose, a Grid."""
+    """Size limit of a value whose length is constant: a number, a Point, a Pose or a Grid."""
 
     bytes: int
 
@@ -50,7 +51,7 @@ class Fixed:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Limit of a string: at most `capacity` bytes in UTF-8."""
+    """Size limit of a string: at most `capacity` bytes in UTF-8."""
 
     capacity: int
 
@@ -68,7 +69,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Limit of a GridMap: at most `capacity` cells."""
+    """Size limit of a GridMap: at most `capacity` cells."""
 
     capacity: int
 
@@ -84,7 +85,7 @@ class Cells:
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """Limit of a Scan: at most `capacity` rays."""
+    """Size limit of a Scan: at most `capacity` rays."""
 
     capacity: int
 
@@ -99,7 +100,7 @@ class Rays:
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """Limit of a value of the extern type `name`: at most `capacity` bytes."""
+    """Size limit of a value of the extern type `name`: at most `capacity` bytes."""
 
     capacity: int
     name: str
@@ -114,7 +115,7 @@ class Blob:
 
 @dataclass(frozen=True, slots=True)
 class Many:
-    """Limit of a List or Queue: at most `capacity` elements."""
+    """Size limit of a List or a Queue: at most `capacity` elements."""
 
     capacity: int
     element: Bound
@@ -129,7 +130,7 @@ class Many:
 
 @dataclass(frozen=True, slots=True)
 class Distinct:
-    """Limit of a Set: at most `capacity` elements."""
+    """Size limit of a Set: at most `capacity` elements."""
 
     capacity: int
     element: Bound
@@ -145,7 +146,7 @@ class Distinct:
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Limit of a Map: at most `capacity` keys."""
+    """Size limit of a Map: at most `capacity` keys."""
 
     capacity: int
     key: Bound
@@ -162,7 +163,7 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Limits of a tuple, by its items in order, or of a record with these `fields`."""
+    """Size limits of the items of a tuple, in their order. For a record, `fields` names the field of each item."""
 
     items: tuple[Bound, ...]
     fields: tuple[str, ...] = ()
@@ -181,9 +182,9 @@ def parts_of(value: Any) -> tuple[Any, ...]:
 
 
 def _head(count: int, shortest: int, short: int) -> int:
-    """Return the most bytes that MessagePack puts before `count` items.
+    """Return the largest number of bytes that MessagePack writes before `count` items or bytes.
 
-    Two below `short`, one below `shortest`."""
+    The number is 1 if `count < shortest`, otherwise 2 if `count < short`, otherwise 3 or 5."""
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 

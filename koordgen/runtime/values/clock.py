@@ -1,4 +1,4 @@
-"""Clock of a robot: the interface, the operating system's monotonic clock, and a simulated one."""
+"""Clocks of robots: the interface, the operating system's monotonic clock, and a simulated clock."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Monotonic seconds, local to the robot."""
+    """Monotonic clock of one robot, in seconds."""
 
     def now(self) -> float: ...
 
 
 class SystemClock:
-    """The operating system's monotonic clock: setting the time of day does not move it."""
+    """Monotonic clock of the operating system. A change of the time of day does not move this clock."""
 
     now = staticmethod(time.monotonic)
 
 
 class SimulatedClock:
-    """Simulated time; `rate` and `offset` derive a robot's drifting clock from `base`."""
+    """Simulated clock in seconds. With `base`, it shows `offset + rate * base.now()`: a robot's drifting clock."""
 
     def __init__(self, base: SimulatedClock | None = None, offset: float = 0.0, rate: float = 1.0) -> None:
         self._base = base
@@ -31,5 +31,5 @@ class SimulatedClock:
         return self.time if self._base is None else self._offset + self._rate * self._base.now()
 
     def true(self, local: float) -> float:
-        """Return the base's time at which this clock shows `local`."""
+        """Return the time of the clock `base` at which this clock shows `local`."""
         return local if self._base is None else (local - self._offset) / self._rate

@@ -1,16 +1,17 @@
-"""Koord's lists, queues, sets and maps as tuples.
+"""Lists, queues, sets and maps of Koord, represented as tuples.
 
-Every function returns a new tuple; none changes its input.
+Every function returns a new tuple, and no function changes its arguments.
 
-A list or queue is a tuple (a queue's front first). A set is the tuple of its elements, ascending, without repetition. A
-map is the tuple of its (key, value) pairs, keys ascending, without repetition. So equal sets are equal tuples. The
-elements of one set, and the keys of one map, have one ordered type: int, bool, string, or tuples of those.
+A list or a queue is the tuple of its elements; a queue's front is the first. A set is the tuple of its elements in
+ascending order, without repetition. A map is the tuple of its (key, value) pairs, with keys in ascending order, without
+repetition. So equal sets are equal tuples. All elements of a set, and all keys of a map, have one ordered type: int,
+bool, string, or tuples of these.
 
-Python's own `==`, `in` and `count` compare parts by identity first, which differs from Koord's equality only for NaN.
-So generated code checks for NaN first where it may occur (no_nan in points.py), also before it calls index_of and
-removed.
+Python's `==`, `in` and `count` first compare parts by identity. This differs from Koord's equality only for NaN. So
+generated code checks for NaN (no_nan in points.py) before comparisons and before calls of index_of and removed, unless
+the values cannot contain NaN.
 
-OutOfRange, Missing, ValueError and ArithmeticError discard the event in which they are raised."""
+An exception OutOfRange, Missing, ValueError or ArithmeticError discards the event that raised it."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from koordgen.runtime.values.turns import MOST_BITS, TOO_LONG, TooMuch, checked,
 
 
 class Key(Protocol):
-    """Type of a set's element or a map's key."""
+    """Type of the elements of a set and of the keys of a map."""
 
     def __lt__(self, other: Any, /) -> bool: ...
 
@@ -41,25 +42,25 @@ _key = itemgetter(0)
 
 
 class OutOfRange(Exception):
-    """An index outside of its list. Indices never count from the end."""
+    """Raised for an index outside of a list. A negative index is outside: indices never count from the end."""
 
 
 class Missing(Exception):
-    """An element to be read or removed is missing."""
+    """Raised if an element to be read or removed is missing."""
 
 
 # Lists and queues
 
 
 def at(xs: Sequence[T], i: int) -> T:
-    """Return the i-th element, from 0. Raises OutOfRange unless 0 <= i < len."""
+    """Return the element with index i; the first index is 0. Raises OutOfRange unless 0 <= i < len(xs)."""
     return xs[_index(xs, i)]
 
 
 def slice_(xs: tuple[T, ...], a: int | None, b: int | None) -> tuple[T, ...]:
-    """Return the elements from a up to, not including, b; None is the start or the end.
+    """Return the elements with indices from a to b - 1. None for a denotes the start, None for b the end.
 
-    Bounds beyond the length are clipped. Raises OutOfRange for a negative one."""
+    A bound beyond the length counts as the length. Raises OutOfRange for a negative bound."""
     for bound in (a, b):
         if bound is not None and bound < 0:
             raise OutOfRange(f"{_shown(bound)} bounds no slice: indices never count from the end")
@@ -67,7 +68,7 @@ def slice_(xs: tuple[T, ...], a: int | None, b: int | None) -> tuple[T, ...]:
 
 
 def updated(xs: tuple[T, ...], i: int, v: T) -> tuple[T, ...]:
-    """Return xs with v as the i-th element. Raises OutOfRange unless 0 <= i < len."""
+    """Return xs with v as the element with index i. Raises OutOfRange unless 0 <= i < len(xs)."""
     _index(xs, i)
     return made((*xs[:i], v, *xs[i + 1 :]))
 
@@ -81,21 +82,21 @@ def extended(xs: tuple[T, ...], ys: tuple[T, ...]) -> tuple[T, ...]:
 
 
 def inserted(xs: tuple[T, ...], i: int, v: T) -> tuple[T, ...]:
-    """Return xs with v before the i-th element, or at the end. Raises OutOfRange unless 0 <= i <= len."""
+    """Return xs with v inserted at index i; len(xs) denotes the end. Raises OutOfRange unless 0 <= i <= len(xs)."""
     if not 0 <= i <= len(xs):
         raise OutOfRange(f"{_shown(i)} is no place to insert at: places are 0 to {len(xs)}")
     return made((*xs[:i], v, *xs[i:]))
 
 
 def removed(xs: tuple[T, ...], v: T) -> tuple[T, ...]:
-    """Return xs without the first element that equals v. Raises Missing if there is none."""
+    """Return xs without the first element that equals v. Raises Missing if no element equals v."""
     return without(xs, index_of(xs, v))
 
 
 def without(xs: tuple[T, ...], i: int) -> tuple[T, ...]:
-    """Return xs without its i-th element; a queue's front is the 0-th.
+    """Return xs without the element with index i; the front of a queue has index 0.
 
-    Raises OutOfRange unless 0 <= i < len."""
+    Raises OutOfRange unless 0 <= i < len(xs)."""
     _index(xs, i)
     return made(xs[:i] + xs[i + 1 :])
 
@@ -107,30 +108,31 @@ def popped(xs: tuple[T, ...]) -> tuple[T, ...]:
 
 
 def first(xs: tuple[T, ...]) -> T:
-    """Return the first element, a queue's front. Raises Missing if xs is empty."""
+    """Return the first element of a list, or the front of a queue. Raises Missing if xs is empty."""
     if not xs:
         raise Missing("there is no first element: it is empty")
     return xs[0]
 
 
 def last(xs: tuple[T, ...]) -> T:
-    """Return the last element. Raises Missing if xs is empty."""
+    """Return the last element of a list or queue. Raises Missing if xs is empty."""
     if not xs:
         raise Missing("there is no last element: it is empty")
     return xs[-1]
 
 
 def index_of(xs: tuple[T, ...], v: T) -> int:
-    """Return the index of the first element that equals v. Raises Missing if there is none."""
+    """Return the index of the first element that equals v. Raises Missing if no element equals v."""
     if v in xs:
         return xs.index(v)
     raise Missing(f"{_shown(v)} is not in the list")
 
 
 def total(xs: Iterable[float]) -> float:
-    """Return the sum from left to right, rounded at each step.
+    """Return the sum of the numbers, added from left to right and rounded after each addition.
 
-    Python's own `sum` compensates rounding errors from 3.12 on, and robots may have different versions."""
+    Python's `sum` is not used: since Python 3.12 it compensates rounding errors, and robots may have different versions
+    of Python."""
     found = 0.0
     for x in xs:
         found += x
@@ -152,7 +154,7 @@ def set_of(values: Iterable[K]) -> tuple[K, ...]:
 
 
 def is_set(t: tuple[Any, ...]) -> bool:
-    """Return whether a tuple of orderable elements, as from the network, is a set: strictly ascending."""
+    """Return whether a tuple, such as one from the network, represents a set: its elements are strictly ascending."""
     return all(a < b for a, b in pairwise(t))
 
 
@@ -162,7 +164,7 @@ def set_with(s: tuple[K, ...], v: K) -> tuple[K, ...]:
 
 
 def set_without(s: tuple[K, ...], v: K) -> tuple[K, ...]:
-    """Return s without v. Raises Missing if v is not in s."""
+    """Return the set s without the element v. Raises Missing if v is not in s."""
     i = _place(s, v)
     if i == len(s) or s[i] != v:
         raise Missing(f"{_shown(v)} is not in the set")
@@ -191,17 +193,17 @@ def _place(s: tuple[K, ...], v: K) -> int:
 
 
 def map_of(pairs: Iterable[tuple[K, V]]) -> tuple[tuple[K, V], ...]:
-    """Return the map of these pairs; of several with one key the last counts."""
+    """Return the map with the (key, value) pairs. If several pairs have one key, the last pair counts."""
     return tuple(sorted(dict(pairs).items(), key=_key))
 
 
 def is_map(t: tuple[tuple[Any, Any], ...]) -> bool:
-    """Return whether a tuple of pairs, as from the network, is a map: keys strictly ascending."""
+    """Return whether a tuple of pairs, such as one from the network, represents a map: keys are strictly ascending."""
     return all(a[0] < b[0] for a, b in pairwise(t))
 
 
 def map_at(m: tuple[tuple[K, V], ...], k: K) -> V:
-    """Return the value of key k. Raises Missing if there is none."""
+    """Return the value of key k in the map m. Raises Missing if k is not in m."""
     return m[_found(m, k)][1]
 
 
@@ -211,7 +213,7 @@ def map_with(m: tuple[tuple[K, V], ...], k: K, v: V) -> tuple[tuple[K, V], ...]:
 
 
 def map_without(m: tuple[tuple[K, V], ...], k: K) -> tuple[tuple[K, V], ...]:
-    """Return m without key k. Raises Missing if k is not in m."""
+    """Return the map m without key k. Raises Missing if k is not in m."""
     i = _found(m, k)
     return made(m[:i] + m[i + 1 :])
 
@@ -234,7 +236,7 @@ def values(m: tuple[tuple[K, V], ...]) -> tuple[V, ...]:
 
 
 def _slot(m: tuple[tuple[K, V], ...], k: K) -> int:
-    """Return the index at which key k is, or would be."""
+    """Return the index of key k in the map m, or the index at which k would be inserted."""
     return bisect_left(m, k, key=_key)
 
 
@@ -252,22 +254,23 @@ def power(a: int, b: int) -> int: ...
 @overload
 def power(a: float, b: float) -> float: ...
 def power(a: float, b: float) -> float:
-    """Return a ** b; an int if both are.
+    """Return a ** b: an int if a and b are ints, otherwise a float.
 
-    Raises ValueError for ints with a negative exponent, or with one above MAX_EXPONENT unless the base is -1, 0 or 1,
-    and for floats without a real power. Raises OverflowError if the float would be infinite."""
+    For ints, raises ValueError if b is negative, or if b is above MAX_EXPONENT and a is not -1, 0 or 1, and TooMuch if
+    the result has more than MOST_BITS bits. For floats, raises ValueError if a ** b is not a real number, and
+    OverflowError if it is too large."""
     if not (isinstance(a, int) and isinstance(b, int)):
         return math.pow(a, b)
     if b < 0:
         raise ValueError("an int has no int power with a negative exponent: write the base as a float")
     if b > MAX_EXPONENT and abs(a) > 1:
         raise ValueError(f"the exponent of an int is at most {MAX_EXPONENT}: write the base as a float")
-    if abs(a) > 1 and (abs(a).bit_length() - 1) * b >= MOST_BITS:  # too long even to be computed
+    if abs(a) > 1 and (abs(a).bit_length() - 1) * b >= MOST_BITS:  # computing such a long int takes too long
         raise TooMuch(TOO_LONG)
     return checked(int(a**b))
 
 
 def _shown(value: object) -> str:
-    """Return a short representation of any value, for reasons in the log."""
+    """Return a short text of any value for a message in the log."""
     huge = isinstance(value, int) and value.bit_length() > 64
     return "an int beyond 64 bits" if huge else reprlib.repr(value)

@@ -1,14 +1,12 @@
-"""WGS-84: exact conversion of geodetic coordinates to and from a local ENU frame.
+"""WGS-84: exact conversion between geodetic coordinates and a local ENU frame, valid at poles and the date line too.
 
-It also holds at the poles and the date line.
+Latitudes and longitudes are in degrees, longitudes from -180 to 180. Heights and lengths are in metres. Heights above
+mean sea level (AMSL), as in autopilots and fleet files, are used as if they were heights above the ellipsoid. If the
+origin and the points have the same kind of height, this scales distances by less than 2e-5.
 
-Latitudes and longitudes in degrees, longitudes within -180 to 180; heights and all lengths in metres. The height above
-mean sea level (AMSL), which autopilots and fleet files use, replaces the height above the ellipsoid: if origin and
-points use the same one, the geoid's height only scales distances by less than 2e-5.
-
-Formulas: B. Hofmann-Wellenhof, H. Lichtenegger, J. Collins, "GPS: Theory and Practice", section 10.2. The inverse
-iterates B. R. Bowring's formula (Survey Review 23, 1976) twice, which leaves only rounding errors up to heights of 100
-km."""
+Formulas: B. Hofmann-Wellenhof, H. Lichtenegger, J. Collins, "GPS: Theory and Practice", section 10.2. The conversion to
+geodetic coordinates iterates B. R. Bowring's formula (Survey Review 23, 1976) twice. Up to a height of 100 km, only
+rounding errors remain."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ _EP2 = _E2 / (1 - _E2)  # second eccentricity, squared
 
 
 def ecef(latitude: float, longitude: float, altitude: float) -> Vector:
-    """Return the earth-centred, earth-fixed coordinates of a geodetic position."""
+    """Return the earth-centred, earth-fixed (ECEF) coordinates of a geodetic position."""
     phi, lam = math.radians(latitude), math.radians(longitude)
     normal = SEMI_MAJOR / math.sqrt(1 - _E2 * math.sin(phi) ** 2)  # radius of curvature in the prime vertical
     radius = (normal + altitude) * math.cos(phi)
@@ -43,13 +41,13 @@ def geodetic(x: float, y: float, z: float) -> Vector:
         )
         beta = math.atan2((1 - FLATTENING) * math.sin(phi), math.cos(phi))
     sine = math.sin(phi)
-    # This form of the height, unlike p / cos(phi) - N, is stable at the poles.
+    # The usual formula p / cos(phi) - N for the height is unstable at the poles; this formula is stable.
     height = p * math.cos(phi) + z * sine - SEMI_MAJOR * math.sqrt(1 - _E2 * sine * sine)
     return math.degrees(phi), math.degrees(math.atan2(y, x)), height
 
 
 def _axes(latitude: float, longitude: float) -> tuple[Vector, Vector, Vector]:
-    """Return the unit vectors east, north and up at a geodetic position, in ECEF."""
+    """Return the unit vectors east, north and up at a geodetic position, in ECEF coordinates."""
     phi, lam = math.radians(latitude), math.radians(longitude)
     sp, cp, sl, cl = math.sin(phi), math.cos(phi), math.sin(lam), math.cos(lam)
     return (-sl, cl, 0.0), (-sp * cl, -sp * sl, cp), (cp * cl, cp * sl, sp)
@@ -60,20 +58,22 @@ def _dot(a: Vector, b: Vector) -> float:
 
 
 class LocalFrame:
-    """Local ENU frame about a geodetic position: x east, y north, z up, tangent to the ellipsoid there."""
+    """Local ENU frame whose origin is a geodetic position: x east, y north, z up.
+
+    The plane z = 0 is parallel to the tangent plane of the ellipsoid at the origin."""
 
     def __init__(self, latitude: float, longitude: float, altitude: float) -> None:
         self._origin = ecef(latitude, longitude, altitude)
         self._east, self._north, self._up = _axes(latitude, longitude)
 
     def enu(self, latitude: float, longitude: float, altitude: float) -> Vector:
-        """Return the ENU coordinates of a geodetic position."""
+        """Return the coordinates of a geodetic position in this ENU frame."""
         x, y, z = ecef(latitude, longitude, altitude)
         d = (x - self._origin[0], y - self._origin[1], z - self._origin[2])
         return _dot(d, self._east), _dot(d, self._north), _dot(d, self._up)
 
     def geodetic(self, x: float, y: float, z: float) -> Vector:
-        """Return latitude, longitude and altitude of a point in this frame."""
+        """Return latitude, longitude and altitude of a point in this ENU frame."""
         (ox, oy, oz), e, n, u = self._origin, self._east, self._north, self._up
         return geodetic(
             ox + x * e[0] + y * n[0] + z * u[0],
@@ -82,10 +82,10 @@ class LocalFrame:
         )
 
     def turned(self, latitude: float, longitude: float, north: float, east: float, down: float) -> Vector:
-        """Rotate a vector from the NED axes at a position to this frame's ENU axes.
+        """Rotate a vector from the NED axes at a geodetic position to the ENU axes of this frame.
 
-        The two differ by the convergence of meridians: negligible at 100 m in middle latitudes, up to half a turn at a
-        pole."""
+        The north axes at the position and at the frame's origin differ by the convergence of meridians. The angle is
+        negligible at a distance of 100 m in middle latitudes, and up to half a turn at a pole."""
         e, n, u = _axes(latitude, longitude)
         v = (
             east * e[0] + north * n[0] - down * u[0],
@@ -95,7 +95,9 @@ class LocalFrame:
         return _dot(v, self._east), _dot(v, self._north), _dot(v, self._up)
 
     def ned(self, latitude: float, longitude: float, east: float, north: float, up: float) -> Vector:
-        """Rotate a vector from this frame's ENU axes to the NED axes at a position: the inverse of `turned`."""
+        """Rotate a vector from the ENU axes of this frame to the NED axes at a geodetic position.
+
+        This is the inverse of `turned`."""
         e, n, u = _axes(latitude, longitude)
         v = (
             east * self._east[0] + north * self._north[0] + up * self._up[0],

@@ -1,17 +1,20 @@
-"""Distance of two paths: the least distance of segments in space, exact except for rounding errors.
+"""Distance between two paths: the least distance between their segments in space, exact except for rounding errors.
 
 The safety of robots relies on this distance.
 
-The squared distance of p + s d and r + t e is a convex function of (s, t) on the unit square. Its minimum is on the
-square's rim, where an endpoint of one segment meets the other segment, or at the one inner point where the line between
-the points is perpendicular to both. All five candidates are computed, and each is the distance of two points that do
-lie on the segments: whatever rounding does to the position, no candidate is below the true distance by more than its
-own rounding. Nearly parallel segments break the textbook formula, whose denominator (d.d)(e.e) - (d.e)^2 is then
-nothing but rounding. Here the inner point comes from the cross product, which keeps its digits, and is moved to the
-foot of the perpendicular on one segment and back on the other: an error along a common direction has almost no effect.
+The points of two segments are p + s d and r + t e with s and t from 0 to 1. Their squared distance is a convex function
+of (s, t) on the unit square. The minimum is on the rim of the square or inside. On the rim, an endpoint of one segment
+is nearest to the other segment: four candidates. Inside, the line between the two points is perpendicular to both
+segments: one candidate. All five candidates are computed. Each candidate is the distance between a point of one segment
+and a point of the other, so rounding cannot make a candidate noticeably smaller than the true distance.
 
-The error is at most 1e-15 of the largest difference between coordinates of the four points, plus 1e-75 m; measured
-against exact arithmetic in tests/runtime/values/test_geometry.py."""
+The textbook formula for the inner candidate fails for nearly parallel segments, because its denominator
+(d.d)(e.e) - (d.e)^2 then consists of rounding errors. This module computes the inner point with the cross product,
+which keeps its digits. Then the point is moved to the foot of the perpendicular on the other segment, and from there
+back to the first segment. So an error along a common direction of the segments has almost no effect.
+
+The error is at most 1e-15 of the largest difference between coordinates of the four points, plus 1e-75 m.
+tests/runtime/values/test_geometry.py measures the error with exact arithmetic."""
 
 from __future__ import annotations
 
@@ -22,13 +25,13 @@ from typing import NamedTuple
 
 from koordgen.runtime.values.points import Point, no_nan
 
-LIMIT = 1e75  # metres; beyond it fourth powers of lengths overflow
+LIMIT = 1e75  # largest valid coordinate in metres: fourth powers of larger lengths overflow
 
 Vector = tuple[float, float, float]
 
 
 class Segment(NamedTuple):
-    """Segment from `start` to `end`; `low` and `high` are the corners of its bounding box."""
+    """Segment from `start` to `end`. `low` and `high` are the corners of the segment's bounding box."""
 
     start: Vector
     end: Vector
@@ -37,33 +40,30 @@ class Segment(NamedTuple):
 
 
 def segment_distance(p: Point, q: Point, r: Point, s: Point) -> float:
-    """Return the least distance (m) of two segments pq and rs; either may be a point.
+    """Return the least distance in metres between the segments pq and rs. A segment may be a single point.
 
     Raises ValueError for a coordinate that is NaN or beyond LIMIT."""
     return path_distance((p, q), (r, s))
 
 
 def path_distance(a: tuple[Point, ...], b: tuple[Point, ...]) -> float:
-    """Return the least distance (m) of two paths.
+    """Return the least distance in metres between two paths; inf if a path has no points.
 
-    Polylines through their points in order, or single points.
-
-    inf if one has no points. Raises ValueError for a coordinate that is NaN or beyond LIMIT."""
+    A path is the polyline through its points in their order, or a single point. Raises ValueError for a coordinate that
+    is NaN or beyond LIMIT."""
     others = _segments(b)
     best = math.inf
     for mine in _segments(a):
         for other in others:
-            if _gap(mine, other) < best:  # skip segments that are far apart, which most are
+            if _gap(mine, other) < best:  # most pairs of segments are too far apart and are skipped
                 best = min(best, _squared(mine, other))
     return math.sqrt(best)
 
 
 def clear(path: tuple[Point, ...], paths: Iterable[tuple[Point, ...]], eps: float) -> bool:
-    """Return whether a path stays more than eps metres away from all others.
+    """Return whether a path is more than eps metres away from all `paths`; True for a path without points.
 
-    True for a path without points.
-
-    Raises ValueError for a coordinate that is NaN or beyond LIMIT, NotANumber if eps is NaN."""
+    Raises ValueError for a coordinate that is NaN or beyond LIMIT, and NotANumber if eps is NaN."""
     no_nan(eps)
     return all(path_distance(path, other) > eps for other in paths)
 
@@ -86,7 +86,9 @@ def _segment(p: Vector, q: Vector) -> Segment:
 
 
 def _gap(a: Segment, b: Segment) -> float:
-    """Return the squared distance of two segments' bounding boxes, a lower bound of the segments' own."""
+    """Return the squared distance between the bounding boxes of two segments.
+
+    The squared distance between the segments is at least as large."""
     _, _, (ax, ay, az), (bx, by, bz) = a
     _, _, (cx, cy, cz), (dx, dy, dz) = b
     gap = max(ax - dx, cx - bx, 0.0), max(ay - dy, cy - by, 0.0), max(az - dz, cz - bz, 0.0)
@@ -95,7 +97,7 @@ def _gap(a: Segment, b: Segment) -> float:
 
 def _squared(a: Segment, b: Segment) -> float:
     (p, q, _, _), (r, s, _, _) = a, b
-    # only differences from here on: distance from the origin adds no error
+    # The code below uses only differences of points, so a large distance from the origin adds no error.
     d, e, w = _minus(q, p), _minus(s, r), _minus(r, p)
     rim = min(
         _beyond(_minus(p, r), e),
@@ -106,20 +108,20 @@ def _squared(a: Segment, b: Segment) -> float:
     n = _cross(d, e)
     square = _dot(n, n)
     if square == 0:
-        return rim  # parallel, or a point: the minimum is on the rim
+        return rim  # parallel segments, or a point: a candidate on the rim is the minimum
     inside = _times(_clip(_dot(_cross(w, e), n) / square), d)
     opposite = _times(_foot(_minus(inside, w), e), e)
     return min(rim, _beyond(_plus(w, opposite), d))
 
 
 def _beyond(x: Vector, d: Vector) -> float:
-    """Return the squared distance of the point x from the segment from the origin to d."""
+    """Return the squared distance between the point x and the segment from the origin to d."""
     gap = _minus(x, _times(_foot(x, d), d))
     return _dot(gap, gap)
 
 
 def _foot(x: Vector, d: Vector) -> float:
-    """Return the parameter, 0 to 1, of the point nearest to x on the segment from the origin to d."""
+    """Return t from 0 to 1 such that t * d is the point nearest to x on the segment from the origin to d."""
     square = _dot(d, d)
     return _clip(_dot(x, d) / square) if square else 0.0
 

@@ -1,8 +1,9 @@
-"""GridMap: occupancy grid of a rectangle of the plane, with cells unknown, free or occupied.
+"""GridMap: occupancy grid of a rectangle of the plane. Each cell is unknown, free or occupied.
 
-All maps of one resolution are windows of one lattice about the origin, so two robots' maps of different areas can be
-merged. Knowledge only grows: marking and merging are joins, occupied over free over unknown, and a join is an OR of
-bits. Merging is therefore commutative, associative and idempotent: the order in which maps arrive does not matter."""
+All maps of one resolution are windows of one lattice about the origin, so maps of different areas can be merged.
+Knowledge only grows: a cell changes from unknown to free to occupied, and never back. Marking and merging are an OR of
+the cells' bits. So merging is commutative, associative and idempotent, and the order in which a robot receives maps
+does not matter."""
 
 from __future__ import annotations
 
@@ -13,20 +14,20 @@ import msgspec
 
 from koordgen.runtime.values.points import INT_MAX, INT_MIN, Grid, Point
 
-FREE, OCCUPIED = 0b01, 0b11  # 00 is unknown; 10 is invalid
-MAX_CELLS = 1 << 22  # a larger map would exceed a robot's memory and its round
+FREE, OCCUPIED = 0b01, 0b11  # bits of a cell; 00 denotes an unknown cell, 10 is invalid
+MAX_CELLS = 1 << 22  # largest number of cells: larger maps need too much memory, and too much time in a round
 
 _SOUND = bytes(
     a << 6 | b << 4 | c << 2 | d for a, b, c, d in product((0, FREE, OCCUPIED), repeat=4)
-)  # the bytes of four cells none of which is 10
+)  # all bytes that represent four valid cells
 
 
 class GridMap(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """Occupancy grid: a window of a lattice.
+    """Occupancy grid: a window of `width` x `height` cells of a lattice; its lower left cell is (x, y).
 
-    Cell (i, j) of the lattice is the square [i, i + 1) x [j, j + 1) times `resolution` metres. The window has
-    `width` x `height` cells from cell (x, y) on. `cells` has two bits per cell, row by row from (x, y), the first cell
-    of a byte lowest, the last byte padded with zeros. GridMap() is the empty map, the only one without cells."""
+    Cell (i, j) of the lattice is the square [i, i + 1) x [j, j + 1) in units of `resolution` metres. `cells` has two
+    bits per cell, row by row from cell (x, y). The first of four cells in a byte has the lowest bits, and the last byte
+    is padded with zeros. GridMap() is the empty map; every other map has cells."""
 
     resolution: float = 0.0
     x: int = 0
@@ -37,20 +38,20 @@ class GridMap(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 def area(lo: Point, hi: Point, resolution: float) -> GridMap:
-    """Return the unknown map of the rectangle from lo to hi, ignoring z.
+    """Return a map of the rectangle from lo to hi whose cells are all unknown. The z coordinates are ignored.
 
-    It reaches from lo's cell to the cells that begin before hi. Raises ValueError unless lo is below hi in x and in y,
-    and for more than MAX_CELLS cells."""
+    The map contains all cells from the cell of lo to the last cells that begin before hi. Raises ValueError if lo is
+    not below hi in x and in y, or if the map would have more than MAX_CELLS cells."""
     size = _size(resolution)
     if not (lo.x < hi.x and lo.y < hi.y):
         raise ValueError("a GridMap's first corner must be below its second in x and in y")
     x, y = math.floor(lo.x / size), math.floor(lo.y / size)
     width, height = math.ceil(hi.x / size) - x, math.ceil(hi.y / size) - y
-    return _blank(size, x, y, max(width, 1), max(height, 1))  # both quotients may round to the same integer
+    return _blank(size, x, y, max(width, 1), max(height, 1))  # rounding may give a width or height of 0
 
 
 def cell(p: Point, size: float) -> Grid:
-    """Return the cell of the lattice of `size` metres that contains a point.
+    """Return the cell that contains a point, in the lattice whose cells are `size` metres wide.
 
     Raises ValueError unless size is positive and finite."""
     return Grid(math.floor(p.x / _size(size)), math.floor(p.y / size), size)
@@ -62,38 +63,44 @@ def center(g: Grid) -> Point:
 
 
 def is_free(m: GridMap, g: Grid) -> bool:
-    """Return whether a cell is known to be free; false outside the window.
+    """Return whether the map records a cell as free; False for a cell outside the map.
 
     Raises ValueError for a cell of another size."""
     return _code(m, g) == FREE
 
 
 def is_occupied(m: GridMap, g: Grid) -> bool:
-    """Return whether a cell is known to be occupied. Raises ValueError for a cell of another size."""
+    """Return whether the map records a cell as occupied; False for a cell outside the map.
+
+    Raises ValueError for a cell of another size."""
     return _code(m, g) == OCCUPIED
 
 
 def is_known(m: GridMap, g: Grid) -> bool:
-    """Return whether a cell is known to be free or occupied. Raises ValueError for a cell of another size."""
+    """Return whether the map records a cell as free or as occupied; False for a cell outside the map.
+
+    Raises ValueError for a cell of another size."""
     return _code(m, g) != 0
 
 
 def mark_free(m: GridMap, g: Grid) -> GridMap:
-    """Return m with a cell free, unless it is occupied.
+    """Return the map m with a cell marked as free. An occupied cell stays occupied.
 
-    Raises ValueError for a cell outside the window or of another size."""
+    Raises ValueError for a cell outside the map or of another size."""
     return _marked(m, g, FREE)
 
 
 def mark_occupied(m: GridMap, g: Grid) -> GridMap:
-    """Return m with a cell occupied. Raises ValueError for a cell outside the window or of another size."""
+    """Return the map m with a cell marked as occupied.
+
+    Raises ValueError for a cell outside the map or of another size."""
     return _marked(m, g, OCCUPIED)
 
 
 def merge(a: GridMap, b: GridMap) -> GridMap:
-    """Return the join of a and b on the smallest window that contains both; cells of neither are unknown.
+    """Return the smallest map that contains the maps a and b, with the knowledge of both. Other cells are unknown.
 
-    Raises ValueError for two resolutions, and for a window of more than MAX_CELLS cells."""
+    Raises ValueError if the resolutions differ, or if the map would have more than MAX_CELLS cells."""
     if not a.width:
         return b
     if not b.width:
@@ -108,9 +115,9 @@ def merge(a: GridMap, b: GridMap) -> GridMap:
 
 
 def sound(m: GridMap) -> bool:
-    """Return whether a map, as from the network, is one that this module can make.
+    """Return whether a map, such as one from the network, could be a result of this module's functions.
 
-    Other functions rely on it."""
+    All other functions require such maps."""
     if m.width == 0 or m.height == 0:
         return m == GridMap()
     return (
@@ -145,14 +152,14 @@ def _blank(resolution: float, x: int, y: int, width: int, height: int) -> GridMa
 
 
 def _bits(m: GridMap, window: GridMap) -> int:
-    """Return the cells of m in their places of a window that contains it, the first lowest."""
+    """Return the cells of map m as bits of an int, at their places in a larger `window`; the first cell is lowest."""
     bits = int.from_bytes(m.cells, "little")
     if m.width == window.width:
         return bits << 2 * m.width * (m.y - window.y)
     row, digits = (
         2 * m.width,
         f"{bits:0{2 * m.width * m.height}b}",
-    )  # the highest first: rows from the last to the first
+    )  # binary digits begin with the highest bit: rows from the last to the first
     left = "0" * (2 * (m.x - window.x))
     right = "0" * (2 * (window.width - m.width) - len(left))
     rows = "".join(f"{right}{digits[k : k + row]}{left}" for k in range(0, len(digits), row))
@@ -160,7 +167,7 @@ def _bits(m: GridMap, window: GridMap) -> int:
 
 
 def _index(m: GridMap, g: Grid) -> int | None:
-    """Return the number of a cell in m, None outside the window."""
+    """Return the number of a cell in the map m, row by row from 0; None for a cell outside the map."""
     if not m.width:
         return None
     if g.size != m.resolution:

@@ -1,4 +1,4 @@
-"""Obstacles of the fleet's world, as in the fleet file: boxes, spheres, upright cylinders, meshes."""
+"""Obstacles of the fleet's world in the form of the fleet file: boxes, spheres, upright cylinders, meshes."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from koordgen.runtime.values.points import Point
 
 
 class Block(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="box"):
-    """Axis-aligned box between two corners, `lo` below `hi` on every axis."""
+    """Axis-aligned box with the corners `lo` and `hi`; `lo` is below `hi` on every axis."""
 
     lo: Point
     hi: Point
 
 
 class Sphere(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="sphere"):
-    """All points no farther than `radius` from `centre`."""
+    """Solid sphere: all points at a distance of at most `radius` metres from `centre`."""
 
     centre: Point
     radius: float
 
 
 class Cylinder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="cylinder"):
-    """Upright cylinder; `base` is the centre of its lower face."""
+    """Solid upright cylinder. `base` is the centre of the lower face. Lengths are in metres."""
 
     base: Point
     radius: float
@@ -30,7 +30,7 @@ class Cylinder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fiel
 
 
 class Mesh(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="shape", tag="mesh"):
-    """Surface of triangles: each face is three indices of vertices."""
+    """Surface of triangles. Each face consists of three indices into `vertices`."""
 
     vertices: tuple[Point, ...]
     faces: tuple[tuple[int, int, int], ...]

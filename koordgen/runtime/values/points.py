@@ -1,9 +1,9 @@
-"""Values of Koord programs.
+"""Points, poses, grid cells, scans and other values of Koord programs, and checks of values.
 
-A Point is a position in metres in the local ENU frame, a Pose adds yaw in radians.
+A Point is a position in metres in the local ENU frame. A Pose is a position with a yaw in radians.
 
-Every value is immutable: numbers, strings, tuples and the frozen Structs of this module, of gridmap.py and of the
-program."""
+Every value is immutable. A value is a number, a string, a tuple, or a frozen Struct of this module, of gridmap.py or of
+the program."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class Point(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """Position or displacement: x east, y north, z up, in metres about the fleet's origin."""
+    """Position relative to the fleet's origin, or displacement: x east, y north, z up, in metres."""
 
     x: float = 0.0
     y: float = 0.0
@@ -48,9 +48,9 @@ class Pose(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Grid(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """Cell of the plane's lattice.
+    """Cell of a square lattice in the plane.
 
-    The square from (x * size, y * size), `size` metres wide, upper edges excluded."""
+    The cell is the square with lower left corner (x * size, y * size), `size` metres wide, without its upper edges."""
 
     x: int = 0
     y: int = 0
@@ -58,10 +58,10 @@ class Grid(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Scan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """One turn of a planar lidar.
+    """Ranges that one turn of a planar lidar measured.
 
-    `angles`: radians from east, counter-clockwise, in the world frame, independent of the heading. `ranges`: metres,
-    one for each angle; a ray without a hit has `max_range`, never infinity."""
+    `angles`: radians, counter-clockwise from east, in the world frame; the robot's heading is already added. `ranges`:
+    one range in metres for each angle. The range of a ray without a hit is `max_range`, never infinity."""
 
     angles: tuple[float, ...] = ()
     ranges: tuple[float, ...] = ()
@@ -69,43 +69,43 @@ class Scan(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=T
 
 
 class Opaque(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """Value of an extern type: MessagePack of the user's own class, b"" until one has been made."""
+    """Value of an extern type: MessagePack of an object of the user's class; b"" before the first object is made."""
 
     data: bytes = b""
 
 
 class NotANumber(ArithmeticError):
-    """A comparison with NaN: one of its operands is NaN, or contains NaN. Discards the event."""
+    """Raised if an operand of a comparison is NaN or contains NaN. The exception discards the event."""
 
     def __init__(self) -> None:
         super().__init__("a comparison met NaN")
 
 
 def no_nan(x: float) -> float:
-    """Return a number that is about to be compared. Raises NotANumber."""
+    """Return x after a check that x is not NaN, for use in a comparison. Raises NotANumber."""
     if x == x:
         return x
     raise NotANumber
 
 
 def no_nan_in(value: T) -> T:
-    """Return a value that is about to be compared as a whole.
+    """Return a value after a check that it contains no NaN at any depth, for use in a comparison.
 
-    Raises NotANumber for NaN in it, at any depth."""
+    Raises NotANumber if the value contains NaN."""
     if has_nan(value):
         raise NotANumber
     return value
 
 
 def has_nan(value: object) -> bool:
-    """Return whether a value is NaN, or has NaN in it at any depth."""
+    """Return whether a value is NaN, or contains NaN at any depth."""
     if isinstance(value, msgspec.Struct):
         value = msgspec.structs.astuple(value)
     return any(map(has_nan, value)) if isinstance(value, tuple) else value != value
 
 
 def distance(p: Point, q: Point) -> float:
-    """Return the Euclidean distance of two points, in metres."""
+    """Return the Euclidean distance between two points in metres."""
     return math.hypot(p.x - q.x, p.y - q.y, p.z - q.z)
 
 
@@ -113,15 +113,15 @@ INT_MIN, INT_MAX = -(2**63), 2**63 - 1
 
 
 def transmissible(value: object) -> bool:
-    """Return whether a value may be kept, or go to a port or to another robot.
+    """Return whether a value may be stored in a variable, passed to a port or sent to another robot.
 
-    Not allowed at any depth: NaN, infinity, an int beyond 64 bits, text that is not Unicode, any object that is no
-    Koord value. It uses a list instead of recursion, so no nesting can exhaust the stack (the result of a typed decoder
-    is as deep as its static type, and no deeper)."""
+    False if the value contains, at any depth, NaN, infinity, an int beyond 64 bits, text that is not Unicode, or an
+    object that is no Koord value. The check uses a list instead of recursion, so deep nesting cannot exhaust the stack.
+    """
     if type(value) in _PARTLESS:
         return _plain(value)
     pending: list[Any] = [value]
-    for item in pending:  # grows during the loop
+    for item in pending:  # the loop appends the parts of each item to the list
         kind = type(item)
         if kind is float:
             if not math.isfinite(item):
@@ -143,9 +143,9 @@ _PARTLESS = frozenset((bool, int, float, str))
 
 
 def _plain(value: object) -> bool:
-    """Do the check of `transmissible` for a value without parts.
+    """Return whether a value without parts is transmissible.
 
-    Subclasses are floats and ints of other libraries."""
+    The patterns also match subclasses: floats and ints of other libraries."""
     match value:
         case bool() | bytes():
             return True
@@ -162,6 +162,6 @@ def _plain(value: object) -> bool:
 def _encodable(text: str) -> bool:
     try:
         text.encode()
-    except UnicodeEncodeError:  # a lone surrogate, as from badly decoded bytes of a device
+    except UnicodeEncodeError:  # a lone surrogate, for example from badly decoded bytes of a device
         return False
     return True

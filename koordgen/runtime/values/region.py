@@ -1,4 +1,4 @@
-"""Regions of space, the right operands of `in`. Metres, local ENU."""
+"""Regions of space: a program writes `point in region`. Coordinates are metres in local ENU."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from koordgen.runtime.values.points import Point, distance, no_nan
 
 
 class Rect(NamedTuple):
-    """Axis-aligned box between two corners in any order, faces included."""
+    """Axis-aligned box between two opposite corners in any order. Points on its faces are inside."""
 
     a: Point
     b: Point
@@ -23,9 +23,9 @@ class Rect(NamedTuple):
 
 
 class Ball(NamedTuple):
-    """Points at most `radius` away from `center`.
+    """Ball: all points at a distance of at most `radius` metres from `center`.
 
-    Raises NotANumber if the distance is NaN, for infinite points."""
+    `point in ball` raises NotANumber if the distance is NaN, as for infinite points."""
 
     center: Point
     radius: float

@@ -1,12 +1,13 @@
-"""Limits of one event: turns of loops, and sizes of the numbers, texts and collections that it makes.
+"""Limits of one event: its turns, and the sizes of the numbers, texts and collections that it makes.
 
-An event, a guard and a formula each have MOST_TURNS turns. One turn of a loop and one call of a function cost one turn.
-Every full ELEMENTS_A_TURN elements of a new list, set, map, queue or text cost one turn, too, and so does passing over
-such a collection. More than the limit raises TooMuch, which discards the event. koordgen/lang/semantics counts the
-same; tests/agree compares both at the limits. Generated code has no call where a static bound shows that the cost is 0
-(koordgen/build/emit/size.py).
+An event, a guard or a formula may use MOST_TURNS turns. One pass of a loop and one call of a function each cost one
+turn. The creation of a list, set, map, queue or text costs one turn for each full ELEMENTS_A_TURN elements, and so does
+iteration over such a value. An event beyond a limit raises TooMuch and is discarded. koordgen/lang/semantics counts
+turns by the same rules, and tests/agree compares both counts at the limits. Generated code contains no call of this
+module where a static bound shows that the cost is 0 (koordgen/build/emit/size.py).
 
-The count is an iterator of the process, for one event at a time: counting stays in C."""
+The count is one iterator for the whole process, because one event runs at a time. An iterator counts in C, so it is
+fast."""
 
 from __future__ import annotations
 
@@ -24,24 +25,24 @@ S = TypeVar("S", bound=Sized)
 
 MOST_TURNS = 1_000_000
 ELEMENTS_A_TURN = 100
-MOST_ELEMENTS = 100_000  # largest number of elements of a list, set, map or queue, and of characters of a text
+MOST_ELEMENTS = 100_000  # largest number of elements of a list, set, map or queue, and of characters in a text
 CELLS_AN_ELEMENT = 100  # number of cells of a GridMap that count as one element
-MOST_BITS = 4096  # largest length of an int, in bits
+MOST_BITS = 4096  # largest number of bits in an int
 _PLAIN = frozenset((int, bool, float, Point))  # types whose values have no elements to count
-SMALL_BITS = 64  # an int of at most this length is added and subtracted without a check of the result
+SMALL_BITS = 64  # a sum or difference is not checked if one operand has at most this number of bits
 TOO_LONG = f"an int of more than {MOST_BITS} bits"
 
 
 class TooMuch(Exception):
-    """An event exceeds a limit, and is discarded."""
+    """Raised if an event exceeds a limit. The event is discarded."""
 
 
 class NoTurns(TooMuch):
-    """An event needs more turns than it has."""
+    """Raised if an event needs more than MOST_TURNS turns."""
 
 
 class _UsedUp:
-    """Iterator after the last turn: it raises NoTurns."""
+    """Iterator that follows after the last turn. It raises NoTurns."""
 
     def __iter__(self) -> _UsedUp:
         return self
@@ -51,7 +52,7 @@ class _UsedUp:
 
 
 class _Count:
-    """Remaining turns: an iterator that yields True for each, and raises TooMuch after the last."""
+    """Remaining turns of the present event: `left` yields True for each turn and raises NoTurns after the last turn."""
 
     def __init__(self) -> None:
         self.left: Iterator[Literal[True]] | None = None
@@ -67,21 +68,21 @@ _count = _Count()
 
 def begin() -> None:
     """Start the count for the next event, guard or formula."""
-    _count.left = None  # created on demand: most events have no loop
+    _count.left = None  # the first turn creates the iterator, because most events have no loop
 
 
 def turns(values: Iterable[T]) -> Iterator[T]:
-    """Yield the values, each for one turn. Raises TooMuch."""
+    """Yield the values. Each value costs one turn. Raises TooMuch after the last turn."""
     return compress(values, _count.left or _count.full())
 
 
 def turn() -> Literal[True]:
-    """Take one turn. Raises TooMuch."""
+    """Spend one turn. Raises TooMuch if no turn is left."""
     return next(_count.left or _count.full())
 
 
 def made(value: S) -> S:
-    """Return a new list, set, map, queue or text, after spending its turns. Raises TooMuch."""
+    """Return a new list, set, map, queue or text after spending the turns that making it costs. Raises TooMuch."""
     size = len(value)
     if size >= ELEMENTS_A_TURN:
         if size > MOST_ELEMENTS:
@@ -91,9 +92,9 @@ def made(value: S) -> S:
 
 
 def looked(values: S) -> S:
-    """Return a collection after spending the turns of passing over it.
+    """Return a collection after spending the turns that iterating over it costs. Raises TooMuch.
 
-    It is a text, or a list, queue or set of numbers or Points. Raises TooMuch."""
+    The collection is a text, or a list, queue or set of numbers or Points."""
     size = len(values)
     if size >= ELEMENTS_A_TURN:
         spend(size // ELEMENTS_A_TURN)
@@ -101,7 +102,7 @@ def looked(values: S) -> S:
 
 
 def looked_in(value: T) -> T:
-    """Return a value of any type, after spending the turns of passing over all its contents.
+    """Return a value of any type after spending the turns that iterating over all its contents costs.
 
     Raises TooMuch."""
     spend(elements(value) // ELEMENTS_A_TURN)
@@ -109,10 +110,11 @@ def looked_in(value: T) -> T:
 
 
 def elements(value: object) -> int:
-    """Count the elements of a value and of all its contents.
+    """Count the elements of a value and of all values that it contains.
 
-    These are elements of a list, queue or set; items of a tuple; pairs, keys and values of a map; characters; rays; for
-    a GridMap one per CELLS_AN_ELEMENT cells. Counting ends beyond the limit of any event."""
+    An element is an element of a list, queue or set, an item of a tuple, a pair, a key or a value of a map, a
+    character, or a ray. In a GridMap, CELLS_AN_ELEMENT cells count as one element. Counting ends when the count
+    exceeds the elements that MOST_TURNS turns pay for."""
     if isinstance(value, tuple):
         found = len(value)
         for part in value:
@@ -132,26 +134,26 @@ def elements(value: object) -> int:
 
 
 def spend(turns: int) -> None:
-    """Spend this many turns. Raises TooMuch."""
+    """Spend a number of turns. Raises TooMuch if too few turns are left."""
     if turns:
         next(islice(_count.left or _count.full(), turns - 1, None))
 
 
 def plus(a: int, b: int) -> int:
-    """Return a + b. Raises TooMuch if both are beyond SMALL_BITS and the sum is beyond MOST_BITS."""
+    """Return a + b. Raises TooMuch if a and b have more than SMALL_BITS bits and the sum has more than MOST_BITS."""
     found = a + b
     return found if found.bit_length() <= MOST_BITS else _large(found, a, b)
 
 
 def minus(a: int, b: int) -> int:
-    """Return a - b. Raises TooMuch as `plus` does."""
+    """Return a - b. Raises TooMuch if a and b have more than SMALL_BITS bits and the result more than MOST_BITS."""
     found = a - b
     return found if found.bit_length() <= MOST_BITS else _large(found, a, b)
 
 
 def product(a: int, b: int) -> int:
-    """Return a * b. Raises TooMuch beyond MOST_BITS."""
-    if a.bit_length() + b.bit_length() <= MOST_BITS + 1:  # a product has as many bits as both factors, or one less
+    """Return a * b. Raises TooMuch if the product has more than MOST_BITS bits."""
+    if a.bit_length() + b.bit_length() <= MOST_BITS + 1:  # a product has as many bits as both factors, or 1 less
         found = a * b
         if found.bit_length() <= MOST_BITS:
             return found
@@ -159,7 +161,7 @@ def product(a: int, b: int) -> int:
 
 
 def checked(found: int) -> int:
-    """Return an int after a check. Raises TooMuch beyond MOST_BITS."""
+    """Return an int after a check of its length. Raises TooMuch if the int has more than MOST_BITS bits."""
     if found.bit_length() > MOST_BITS:
         raise TooMuch(TOO_LONG)
     return found

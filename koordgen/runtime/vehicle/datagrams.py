@@ -1,4 +1,4 @@
-"""UDP ports that receive feeds of base stations and sensors without blocking."""
+"""UDP ports that receive datagrams of base stations and sensors without blocking."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from typing import Protocol
 
 from koordgen.runtime.vehicle.platform import Unready
 
-LARGEST_DATAGRAM = 2048
-# Largest number of datagrams handled in one poll. It is at least what a socket buffers, so that no datagram waits and
-# seems to be newer than it is; handling them takes a few milliseconds.
+LARGEST_DATAGRAM = 2048  # bytes
+# Largest number of datagrams handled in one poll. A socket buffers no more than this number, so no datagram waits for
+# the next poll and gets too late a time stamp. Handling all of them takes a few milliseconds.
 DATAGRAMS_A_POLL = 512
 
 
 def raw_clock() -> float:
-    """Return seconds of a clock with the computer's crystal rate.
+    """Return the seconds of the raw monotonic clock, which runs at the rate of the computer's crystal.
 
-    NTP slews the monotonic clock by far more."""
+    NTP changes the rate of the usual monotonic clock by much more than a crystal's error."""
     return time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
 
 
 class DatagramLink(Protocol):
-    """Source of datagrams. None: no datagram at present."""
+    """Source of datagrams. `receive` returns the next datagram, or None if no datagram has arrived."""
 
     def receive(self) -> bytes | None: ...
 
@@ -45,7 +45,7 @@ class UdpLink:
     def receive(self) -> bytes | None:
         try:
             return self._socket.recv(LARGEST_DATAGRAM)
-        except OSError:  # no datagram, or a stray network error, which silence will show
+        except OSError:  # no datagram has arrived, or a network error; a lasting error shows as a missing feed
             return None
 
     def close(self) -> None:
@@ -53,9 +53,10 @@ class UdpLink:
 
 
 def listen(key: str, setting: str, what: str, sender: str, example: str) -> UdpLink:
-    """Bind the port "udp:HOST:PORT" of a robot's setting `key`, for `what` (plural) from `sender`.
+    """Bind the UDP port that `setting` names as "udp:HOST:PORT".
 
-    Raises Unready."""
+    `key`: name of the robot's setting. `what`: plural noun for the datagrams in messages. `sender`: noun for their
+    sender in messages. `example`: a valid setting. Raises Unready if the port cannot be bound."""
     kind, _, address = setting.partition(":")
     host, _, port = address.rpartition(":")
     if kind != "udp" or not host or not port.isascii() or not port.isdigit():
@@ -64,17 +65,17 @@ def listen(key: str, setting: str, what: str, sender: str, example: str) -> UdpL
         return UdpLink(host, int(port))
     except (OSError, OverflowError) as error:
         reason = getattr(error, "strerror", None) or error
-        hint = f"free the port, or give another in `{key}` of the robot's settings and to {sender}"
+        hint = f"free the port, or set another port in `{key}` of the robot's settings and for {sender}"
         raise Unready(f"cannot receive {what} on {host}:{port}: {reason}", hint) from None
 
 
 def even_clock(link: DatagramLink) -> Callable[[], float] | None:
-    """Return the clock that stamps arrivals on a link; None for a simulated link, which uses the caller's."""
+    """Return the clock that stamps datagrams of a link; None for a simulated link, which uses the caller's clock."""
     return raw_clock if isinstance(link, UdpLink) else None
 
 
 def waiting(link: DatagramLink) -> Iterator[bytes]:
-    """Yield the datagrams that have arrived, at most DATAGRAMS_A_POLL."""
+    """Yield the datagrams that have arrived on a link, at most DATAGRAMS_A_POLL."""
     for _ in range(DATAGRAMS_A_POLL):
         datagram = link.receive()
         if datagram is None:

@@ -1,8 +1,8 @@
-"""Drivers: the user's own classes that serve modules which the target does not offer.
+"""Drivers: Python classes of the user that serve modules which the target does not offer.
 
-A driver has `sense() -> dict` and `command(dict)`, by the names of its ports, and may have `call(port, args)` and
-`close()`. None of them may block. If one raises, or senses a value of a wrong type, the robot skips its rounds until it
-senses again."""
+A driver has the methods `sense() -> dict` and `command(dict)`; the keys of both dictionaries are names of ports. It may
+also have `call(port, args)` and `close()`. No method may block. If `sense` raises an exception or returns a value of a
+wrong type, the robot skips its rounds until `sense` succeeds again."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Drivers = Mapping[str, Callable[[], Any]]
 
 
 def with_drivers(platform: Platform, program: Program, drivers: Drivers) -> Platform:
-    """Return the platform with a driver for each module named.
+    """Return a platform in which a driver serves each module of `drivers`.
 
     Raises Unready if a driver cannot be created."""
     return Driven(platform, program, drivers) if drivers else platform
 
 
 class Driven:
-    """Platform that serves some modules by drivers, and passes on all others."""
+    """Platform whose drivers serve some modules. Another platform serves all other modules."""
 
     def __init__(self, platform: Platform, program: Program, drivers: Drivers) -> None:
         self._platform = platform
@@ -39,7 +39,7 @@ class Driven:
                 self._drivers[module] = make()
         except ESCAPES as error:
             self.close()
-            raise Unready(f"the driver of {module} cannot be created: {_told(error)}") from None
+            raise Unready(f"the driver of {module} cannot be created: {_error_text(error)}") from None
         self._types = {
             p.name: p.type
             for p in program.ports
@@ -52,7 +52,7 @@ class Driven:
         self._sample()
         names = ", ".join(f"{module} by {type(driver).__name__}" for module, driver in self._drivers.items())
         trouble = self._trouble
-        hint = "check its device and the driver's class"
+        hint = "check the driver's device and the driver's class"
         own = Finding("drivers", "fail", trouble, why=hint) if trouble else Finding("drivers", "ok", names)
         return [*self._platform.diagnose(), own]
 
@@ -83,7 +83,7 @@ class Driven:
         self._hand_on(actuators, now, self._platform.command)
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Resume, as Resumes.resume; drivers receive all commands again."""
+        """Resume the commands of the time before a restart. Drivers receive all their commands again."""
         platform = self._platform
         self._hand_on(actuators, now, platform.resume if isinstance(platform, Resumes) else platform.command)
 
@@ -104,7 +104,7 @@ class Driven:
             try:
                 self._drivers[module].command(written)
             except ESCAPES as error:
-                raise Unready(f"the driver of {module} refused a command: {_told(error)}") from None
+                raise Unready(f"the driver of {module} refused a command: {_error_text(error)}") from None
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         module, _, name = port.partition(".")
@@ -119,18 +119,18 @@ class Driven:
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         self._platform.others(paths)
 
-    def news(self) -> list[str]:
-        return self._platform.news()
+    def log_lines(self) -> list[str]:
+        return self._platform.log_lines()
 
     def hold(self, on: bool, now: float) -> None:
         self._platform.hold(on, now)
 
-    def rest(self, now: float) -> None:
-        self._platform.rest(now)
+    def stop(self, now: float) -> None:
+        self._platform.stop(now)
 
     @property
-    def rested(self) -> bool:
-        return self._platform.rested
+    def stopped(self) -> bool:
+        return self._platform.stopped
 
     def close(self) -> None:
         self._platform.close()
@@ -147,7 +147,7 @@ class Driven:
                 for name in ports:
                     self._values[name] = self._typed(name, sensed[name.partition(".")[2]])
             except ESCAPES as error:
-                trouble = f"the driver of {module} does not sense: {_told(error)}"
+                trouble = f"the driver of {module} does not sense: {_error_text(error)}"
                 self._values.update(dict.fromkeys(ports))
         self._trouble = trouble
 
@@ -158,5 +158,5 @@ class Driven:
         return typed
 
 
-def _told(error: BaseException) -> str:
+def _error_text(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"

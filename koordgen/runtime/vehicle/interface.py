@@ -17,13 +17,13 @@ from koordgen.runtime.vehicle.safety import clamped
 
 
 class VehicleInterface:
-    """Interface between program and platform.
+    """Interface between a program and the platform of its robot.
 
-    actuators: values last written by the program; the platform gets them clamped to the geofence.
-    budget: seconds that a call of a port may take; longer calls are counted and reported.
-    avoid: the allread variable in which robots publish their paths; "": none.
+    actuators: values that the program wrote last. The platform gets them clamped to the geofence.
+    budget: seconds that a call of a callable port may take. Longer calls are counted, and the first is reported.
+    avoid: name of the allread variable in which robots publish their paths; "" if the program has no such variable.
     pid: pid of this robot.
-    clock: returns the time in seconds, to measure calls.
+    clock: clock in seconds that measures how long calls take.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class VehicleInterface:
         self._platform = platform
         self._avoid, self._pid, self._clock = avoid, pid, clock
         self._slots: tuple[Any, ...] = ()  # slots of `avoid` at the last call of `others`
-        self._published: dict[int, tuple[Point, ...]] = {}  # paths passed on
+        self._published: dict[int, tuple[Point, ...]] = {}  # pid -> path last passed to the platform
         self._fence = fence
         self._budget = budget
         self._warn = warn
@@ -58,12 +58,12 @@ class VehicleInterface:
         self.slow_calls = 0
 
     def begin(self, sensed: Sensed) -> None:
-        """Initialise the actuators before `init`: some get the value of a sensor, so that the robot holds.
+        """Initialise the actuators before `init`. Some start with the value of a sensor, so that the robot holds.
 
-        Raises Unready if the target lacks a port."""
+        Raises Unready if the target lacks a sensor port of the program."""
         for name in self._sensors:
             if name not in sensed.values:
-                raise Unready(f"this target has no port {name}", "build the program for a target that offers it")
+                raise Unready(f"this target has no port {name}", "build the program for a target that offers this port")
         for port in self._actuators:
             if port.held in sensed.values:
                 self.actuators[port.name] = sensed.values[port.held]
@@ -71,10 +71,10 @@ class VehicleInterface:
                 self.actuators[port.name] = port.unset()
 
     def sensors(self, sensed: Sensed) -> dict[str, Any]:
-        """Return the program's sensor values.
+        """Return the values of the program's sensors.
 
-        A sensor that commands clear is true before any command. After one it is false until the platform has measured a
-        position later than the command."""
+        A command can clear a sensor, such as "target reached". This sensor is true before the first command. After a
+        command it is false until the platform has measured a position later than the command."""
         values = {name: sensed.values[name] for name in self._sensors}
         for name in self._clearable:
             since = self._cleared.get(name)
@@ -85,9 +85,9 @@ class VehicleInterface:
         return values
 
     def others(self, shared: Mapping[str, Any]) -> None:
-        """Pass the other robots' published paths from the shared store to the platform, if they have changed.
+        """Pass the paths that other robots published in the shared variables to the platform, if a path has changed.
 
-        Called before an event."""
+        The agent calls this before each event."""
         slots = shared.get(self._avoid, ())
         if slots is self._slots:
             return
@@ -101,9 +101,9 @@ class VehicleInterface:
             self._platform.others(published)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Call a callable port within an event.
+        """Call a callable port within an event, and return the platform's answer.
 
-        Raises what the platform raises; ValueError for an invalid answer."""
+        Raises the exceptions of the platform, and ValueError if the answer is invalid."""
         began = self._clock()
         found = self._platform.call(port, args)
         took = self._clock() - began
@@ -118,20 +118,20 @@ class VehicleInterface:
         return answer
 
     def calls(self) -> tuple[tuple[str, tuple[Any, ...], Any], ...]:
-        """Return the calls since the last call of this method: port, arguments, answer."""
+        """Return port, arguments and answer of each call of a callable port since this method was called last."""
         if not self._calls:
             return ()
         found, self._calls = tuple(self._calls), []
         return found
 
     def command(self, written: Mapping[str, Any], now: float) -> None:
-        """Pass an event's writes to the platform; Points are clamped to the geofence."""
+        """Pass the actuator values that an event wrote to the platform. Points are clamped to the geofence."""
         self._hand_on(written, now, self._platform.command)
 
     def _hand_on(self, written: Mapping[str, Any], now: float, to: Callable[[Mapping[str, Any], float], None]) -> None:
         if not written or self._retired:
             return
-        self.actuators = {**self.actuators, **written}  # a new dictionary, because frames of earlier rounds refer to it
+        self.actuators = {**self.actuators, **written}  # new dict: frames of earlier rounds refer to the old one
         for name in written:
             for sensor in self._clears.get(name, ()):
                 self._cleared[sensor] = now
@@ -142,17 +142,18 @@ class VehicleInterface:
         to(inside, now)
 
     def restore(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Restore the actuator values of this robot's state before a rejoin.
+        """Restore the actuator values that this robot had before its rejoin.
 
-        Send the platform those that differ.
-        """
+        The platform receives only the values that differ from the present ones."""
         nothing = object()
         differing = {n: v for n, v in actuators.items() if self.actuators.get(n, nothing) != v}
         platform = self._platform
         self._hand_on(differing, now, platform.resume if isinstance(platform, Resumes) else platform.command)
 
     def hold(self, reason: str, on: bool, now: float) -> bool:
-        """Add or remove a reason to hold; the robot moves when no reason is left. Return True on a change."""
+        """Add a reason to hold if `on`, otherwise remove it. The robot moves when no reason is left.
+
+        Return True if the reasons changed."""
         if on == (reason in self._reasons) or self._retired:
             return False
         (self._reasons.add if on else self._reasons.discard)(reason)
@@ -160,12 +161,12 @@ class VehicleInterface:
         return True
 
     def retire(self) -> None:
-        """Block all further commands of the program: the safe stop has begun."""
+        """Block all further commands of the program, because the safe stop has begun."""
         self._retired = True
 
 
 def unusable(sensors: Mapping[str, Any]) -> str | None:
-    """Return the first sensor whose value no program may read, as text, or None."""
+    """Return a message about the first sensor without a finite value; None if programs may read all sensors."""
     for name, value in sensors.items():
         if not transmissible(value):
             why = "has no value" if value is None else "is not finite"

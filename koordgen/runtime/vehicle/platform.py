@@ -1,9 +1,9 @@
-"""Platform interface, which a target implements: one robot's vehicle behind its program's ports.
+"""Platform interface, which a target implements: connects the ports of a program with the vehicle of one robot.
 
-The agent is one poll loop. It calls `poll` at least every `period` seconds and everything else between two polls. No
-call may block for more than a few milliseconds (longer work runs in a process of the platform's own), none sleeps, and
-time is passed as an argument, so that a simulator can control it. Frames: local ENU metres about the fleet's origin,
-yaw in radians counter-clockwise from east."""
+The agent is one poll loop. It calls `poll` at least every `period` seconds, and all other methods between two polls. No
+method may sleep, or block for more than a few milliseconds; longer work runs in a separate process of the platform.
+The time is an argument of each method, so that a simulator can control it. Frames: local ENU metres about the fleet's
+origin, yaw in radians counter-clockwise from east."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
-if TYPE_CHECKING:  # this module must be importable without any package, for checks
+if TYPE_CHECKING:  # checks of a robot import this module even if third-party packages are missing
     from koordgen.runtime.values.points import Point
 
 
 class Unready(Exception):
-    """The vehicle cannot serve: a link, a device or a setting is wrong. `hint` says how to fix it."""
+    """Raised if the vehicle cannot serve: a link, a device or a setting is wrong. `hint` describes how to fix it."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -29,9 +29,10 @@ State = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Result of one check before a mission: the state found, in a few words with units.
+    """Result of one check before a mission.
 
-    If it is not right: `wanted` is the right state (empty if obvious), and `why` the consequence and the fix."""
+    `found`: the state that the check found, in a few words with units. After a check that did not pass, `wanted` is the
+    right state (empty if obvious), and `why` describes the consequence and the fix."""
 
     name: str
     state: State
@@ -41,7 +42,7 @@ class Finding:
 
     @staticmethod
     def of(name: str, error: Unready) -> Finding:
-        """Return the failed check for an error that ended further checks."""
+        """Return a failed check from the error that ended the check."""
         return Finding(name, "fail", error.message, why=error.hint)
 
 
@@ -49,8 +50,8 @@ class Finding:
 class Sensed:
     """Values of the sensor ports at one time.
 
-    `values` is keyed by "Module.port". `time`: when the position was true (seconds on the agent's clock), or None
-    before the first position."""
+    `values`: "Module.port" -> value. `time`: time at which the robot's position was measured, in seconds of the agent's
+    clock; None before the first position."""
 
     values: Mapping[str, Any]
     time: float | None
@@ -58,11 +59,9 @@ class Sensed:
 
 @dataclass(frozen=True, slots=True)
 class Vitals:
-    """State of a vehicle for operators.
+    """State of a vehicle that operators are shown.
 
-    Yaw (radians, counter-clockwise from east) and battery charge (0 to 1).
-
-    None: unknown."""
+    `yaw`: radians, counter-clockwise from east. `battery`: charge from 0 to 1. None: unknown."""
 
     yaw: float | None = None
     battery: float | None = None
@@ -71,42 +70,41 @@ class Vitals:
 class Platform(Protocol):
     """Platform of one robot.
 
-    Life cycle: `diagnose` or (`start`, `poll` until `ready`, rounds, `rest`, `poll` until `rested`), then `close`."""
+    For a check: `diagnose`, then `close`. For a mission: `start`, `poll` until `ready`, rounds, `stop`, `poll` until
+    `stopped`, then `close`."""
 
     period: float  # seconds between two polls of the control loop
 
     def diagnose(self) -> list[Finding]:
-        """Open all links and devices, check them, and close them, without motion.
+        """Open all links and devices, check them, and close them, without moving the robot.
 
-        The first failure is the one to fix first; checks that depend on it may be left out. Raises nothing for a failed
-        check. May take up to 15 seconds, the only call that may."""
+        Checks that depend on a failed check may be left out. A failed check raises no exception. Only this method may
+        take long: up to 15 seconds."""
         ...
 
     def start(self, now: float) -> None:
-        """Open the links and begin to become ready (a quad takes off). Raises Unready."""
+        """Open the links and begin to make the vehicle ready for the mission: a quad takes off. Raises Unready."""
         ...
 
     def poll(self, now: float) -> None:
-        """Read the links, run the controller, write commands. Raises Unready if the vehicle is lost for good."""
+        """Read the links, run the controller, send its commands. Raises Unready if the vehicle cannot recover."""
         ...
 
     @property
     def ready(self) -> bool:
-        """True if the robot is where a mission can begin, with fresh sensors."""
+        """True if the vehicle can begin a mission, and its sensors have fresh values."""
         ...
 
     @property
     def progress(self) -> str:
-        """The vehicle's present activity in a few words for the log.
-
-        "waiting for a heartbeat on udp:...", "climbing"."""
+        """Present activity of the vehicle in a few words for the log, such as "climbing"."""
         ...
 
     @property
     def stall(self) -> str:
-        """Why the vehicle has no path to its last command: the target, then the obstacle.
+        """Reason why the vehicle has no path to its commanded target: text that names the target, then the obstacle.
 
-        "" while it has a path, needs none, holds, or stops."""
+        "" while the vehicle has a path, needs no path, holds, or stops."""
         ...
 
     def sense(self, now: float) -> Sensed:
@@ -114,68 +112,70 @@ class Platform(Protocol):
         ...
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Execute an event's writes to actuators ("Module.port" to value).
+        """Execute the actuator values that an event wrote: "Module.port" -> value.
 
-        They are finite and inside the geofence."""
+        All numbers are finite, and all Points are inside the geofence."""
         ...
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Answer a callable port ("Motion.planner") within the calling event.
+        """Return the answer of a callable port, such as "Motion.planner", within the calling event.
 
-        A planner's answer is a tuple of Points, empty if there is no path. An exception discards the event."""
+        A planner returns a tuple of Points; an empty tuple means that it found no path. An exception discards the
+        event."""
         ...
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
-        """Store the other robots' published paths by pid, for calls of the next event.
+        """Store the paths that the other robots published (pid -> path) for calls of the next event.
 
-        Each path begins where that robot is or was. A single point: it stays there. No path: it has published none."""
+        A path begins at the present or a past position of its robot. A path of one point: the robot stays there. A pid
+        is missing if its robot has published no path."""
         ...
 
-    def news(self) -> list[str]:
-        """Return log lines on problems since the last call that do not end the mission."""
+    def log_lines(self) -> list[str]:
+        """Return log lines about new problems, since the last call, that do not end the mission."""
         ...
 
     def hold(self, on: bool, now: float) -> None:
-        """Hold at the present position, or resume the last command. Idempotent.
+        """Hold the present position if `on`, otherwise resume the last command. Idempotent.
 
-        A vehicle at rest does not start: a quad that is held before take-off stays on the ground. Called from before
-        `start` on."""
+        The agent may call this before `start`. A vehicle that holds then does not begin to move: a quad stays on the
+        ground."""
         ...
 
-    def rest(self, now: float) -> None:
-        """Begin the safe stop: land, or brake and go neutral. Idempotent; cannot be undone."""
+    def stop(self, now: float) -> None:
+        """Begin the safe stop: a quad lands, a car brakes and goes neutral. Idempotent. It cannot be undone."""
         ...
 
     @property
-    def rested(self) -> bool:
-        """True once the safe stop is complete."""
+    def stopped(self) -> bool:
+        """True as soon as the safe stop is complete."""
         ...
 
     def close(self) -> None:
-        """Close links and devices; the vehicle is at rest or in its own failsafe. Idempotent."""
+        """Close all links and devices. The vehicle must then be stopped or in its own failsafe. Idempotent."""
         ...
 
 
 @runtime_checkable
 class Resumes(Protocol):
-    """Platform that can resume within a path. Others receive the whole command again after a restart."""
+    """Platform that can resume a path midway after a restart. Other platforms receive the whole command again."""
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """Resume the commands of an earlier life of this robot, as `command` does.
+        """Execute the commands that this robot had before its restart.
 
-        The points of a path before the leg that is nearest to the robot count as passed. No planner has checked the way
-        to the next point."""
+        All points of a path before the segment that is nearest to the robot count as passed. No planner has checked the
+        way from the robot to the next point."""
         ...
 
 
 @runtime_checkable
 class Examined(Protocol):
-    """Platform that reports vitals."""
+    """Platform that reports the vehicle's yaw and battery charge."""
 
     @property
     def vitals(self) -> Vitals: ...
 
 
 def vitals(platform: Platform) -> Vitals:
-    """Return a platform's vitals; all unknown if it does not report them."""
+    """Return yaw and battery charge of a platform's vehicle. Both are None if the platform does not report them."""
     return platform.vitals if isinstance(platform, Examined) else Vitals()

@@ -1,9 +1,9 @@
-"""Safety layer: checks of the geofence and of the robot's own position.
+"""Safety layer: checks the geofence and the age of the robot's own position.
 
-It returns verdicts; the agent acts on them.
+This module returns verdicts, and the agent acts on them.
 
-Frames: local ENU metres. A robot's own position is the sensor that its program declares as such; without one, the
-platform's `<Module>.position`."""
+Frames: local ENU metres. A robot's own position is the sensor that its program declares as the robot's position. If the
+program declares no sensor, the platform's `<Module>.position` is used."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from koordgen.runtime.vehicle.platform import Sensed
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """Required reaction, with its reason."""
+class SafetyVerdict:
+    """Reaction that the safety layer requires of the agent, with its reason."""
 
-    action: Literal["go", "hold", "rest"]
+    action: Literal["go", "hold", "stop"]
     reason: str = ""
 
 
-GO = Verdict("go")
+GO = SafetyVerdict("go")
 
 
 def inside(box: Box, p: Point) -> bool:
@@ -41,47 +41,49 @@ def clamp(box: Box, p: Point) -> Point:
 
 
 def clamped(box: Box, actuators: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Return the actuators with every Point clamped to the box, and the names of changed ones."""
+    """Return the actuators with every Point clamped to the box, and the names of the actuators that this changed."""
     moved: dict[str, Any] = {name: _into(box, value) for name, value in actuators.items()}
     return moved, [name for name, value in moved.items() if value != actuators[name]]
 
 
 def own_position(sensed: Sensed, declared: Sequence[str] = ()) -> Point | None:
-    """Return the robot's own position, or None; `declared`: sensors that the program declares as it."""
+    """Return the robot's own position, or None. `declared`: sensors that the program declares as own position."""
     offered = [name for name in sensed.values if name.endswith(".position")]
     places = (sensed.values.get(name) for name in (*declared, *offered))
     return next((place for place in places if isinstance(place, Point)), None)
 
 
-class Guard:
-    """Monitor of one robot's own position, from the time it is ready; `declared`: see own_position."""
+class SafetyGuard:
+    """Safety check of one robot's own position, from the time at which the vehicle is ready.
+
+    `declared`: sensors that the program declares as own position."""
 
     def __init__(self, safety: Safety, fence: Box, declared: Sequence[str] = ()) -> None:
         self._safety, self._declared = safety, declared
         self._fence = fence
-        self._since = math.inf  # time of the first call
+        self._since = math.inf  # time of the first call of `judge`
         self._outside: float | None = None
 
-    def judge(self, sensed: Sensed, now: float) -> Verdict:
-        """Return the reaction that the sensors at local time `now` require."""
+    def judge(self, sensed: Sensed, now: float) -> SafetyVerdict:
+        """Return the reaction that the sensor values at local time `now` (seconds) require."""
         self._since = min(self._since, now)
         age = now - (self._since if sensed.time is None else sensed.time)
         position = own_position(sensed, self._declared)
         if position is not None and not all(map(math.isfinite, (position.x, position.y, position.z))):
             position, age = None, max(age, now - self._since)
             if age <= self._safety.position_lost:
-                return Verdict("hold", "own position is not finite")
+                return SafetyVerdict("hold", "own position is not finite")
         if age > self._safety.position_lost:
-            return Verdict("rest", f"no own position for {age:.1f} s")
+            return SafetyVerdict("stop", f"no own position for {age:.1f} s")
         if position is None or inside(self._fence, position):
             self._outside = None
         elif self._outside is None:
             self._outside = now
         if self._outside is not None and now - self._outside > self._safety.outside_fence and position is not None:
             where = f"({position.x:.2f}, {position.y:.2f}, {position.z:.2f})"
-            return Verdict("rest", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
+            return SafetyVerdict("stop", f"outside the geofence for {now - self._outside:.1f} s, at {where}")
         if age > self._safety.position_stale:
-            return Verdict("hold", f"own position is {age:.1f} s old")
+            return SafetyVerdict("hold", f"own position is {age:.1f} s old")
         return GO
 
 

@@ -1,8 +1,8 @@
 """Scan feed: lidar scans that a driver (or the simulator) sends to a robot.
 
-One sealed MessagePack datagram per turn; see `Sweep` for its fields. As in the position feed, sequence numbers only
-grow within a session (one run of the driver). A scan stays visible for `WINDOW` seconds after it was measured: a robot
-may read several times a round, and gets the same."""
+Each turn of the lidar is one sealed MessagePack datagram; `Sweep` lists its fields. Sequence numbers only grow within a
+session (one run of the driver). A scan stays visible for `WINDOW` seconds after it was measured, because a robot may
+read scans several times in a round."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from koordgen.runtime.vehicle.datagrams import DatagramLink, UdpLink, listen, wa
 from koordgen.runtime.vehicle.platform import Finding, Unready
 
 WINDOW = 0.5  # seconds for which a scan stays visible
-PATIENCE = 60.0  # seconds to wait for the first scan, because a driver may be started after the robot
-MOST_SCANS = 4  # number of newest scans kept
-MOST_RAYS = 512  # largest number of rays of one turn, which must fit into one datagram of 1200 bytes
-FARTHEST = 1000.0  # metres, largest accepted range of a lidar
+FIRST_SAMPLE_TIMEOUT = 60.0  # seconds to wait for the first scan: the lidar's driver may be started after the robot
+MOST_SCANS = 4  # number of scans kept; older scans are dropped
+MOST_RAYS = 512  # largest number of rays in one turn, so that a turn fits into a datagram of 1200 bytes
+FARTHEST = 1000.0  # largest accepted range of a lidar in metres
 NOTHING = 0xFFFF  # encoded range of a ray without a hit
-_TURNS = 100.0  # radians; larger angles are invalid
+_TURNS = 100.0  # largest valid angle of a ray in radians
 _HINT = "start the lidar's driver; check that it knows this robot's name, address and the fleet's key"
 
 Seen = tuple[Point, Scan]
@@ -32,11 +32,11 @@ Bind = Callable[[str], DatagramLink]
 
 
 class Sweep(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """One turn of robot `robot`'s lidar, measured at `position` (m, local ENU).
+    """One turn of the lidar of robot `robot`, measured at `position` (metres, local ENU).
 
-    Ray i points to `first + i * step` radians from east, counter-clockwise: the driver has corrected the robot's
-    heading. `ranges`: unsigned 16-bit numbers, little-endian, in 65535ths of `max_range` (m); 65535 for a ray without a
-    hit. `age`: seconds between measurement and sending."""
+    Ray i points to `first + i * step` radians, counter-clockwise from east; the driver has already added the robot's
+    heading. `ranges`: unsigned 16-bit numbers, little-endian, in units of `max_range` (metres) / 65535; 65535 means
+    that the ray hit nothing. `age`: seconds between measurement and sending."""
 
     robot: str
     session: int
@@ -54,7 +54,7 @@ _decoder = msgspec.msgpack.Decoder(Sweep)
 
 
 def packed(ranges: Sequence[float], max_range: float) -> bytes:
-    """Encode ranges in metres as `Sweep.ranges`; values from `max_range` on count as no hit."""
+    """Encode ranges in metres as bytes for `Sweep.ranges`. A range of `max_range` or more denotes a ray without hit."""
     numbers = (
         NOTHING if r >= max_range else min(NOTHING - 1, round(max(0.0, r) / max_range * NOTHING)) for r in ranges
     )
@@ -62,12 +62,14 @@ def packed(ranges: Sequence[float], max_range: float) -> bytes:
 
 
 def encode(sweep: Sweep, key: bytes | None) -> bytes:
-    """Return a datagram with one turn."""
+    """Return a sealed datagram that contains one turn of the lidar."""
     return seal(key, SCAN, _encoder.encode(sweep))
 
 
 class Scans:
-    """Receiver of one robot's scans. `rejected` counts dropped datagrams by reason. No datagram raises."""
+    """Receiver of one robot's lidar scans. No datagram causes an exception.
+
+    `rejected`: reason -> number of dropped datagrams."""
 
     def __init__(self, robot: str, key: bytes | None) -> None:
         self._robot = robot
@@ -79,11 +81,11 @@ class Scans:
 
     @property
     def heard(self) -> bool:
-        """True if a scan has ever arrived."""
+        """True if at least one scan has arrived."""
         return self._sequence >= 0
 
-    def take(self, datagram: bytes, now: float) -> bool:
-        """Handle a datagram that arrived at `now`. Return whether it brought a newer turn."""
+    def receive(self, datagram: bytes, now: float) -> bool:
+        """Handle a datagram that arrived at `now`. Return whether it contained a newer turn of the lidar."""
         payload = unseal(self._key, SCAN, datagram)
         if payload is None:
             return self._reject("not authentic")
@@ -102,7 +104,7 @@ class Scans:
         return True
 
     def recent(self, now: float) -> tuple[Seen, ...]:
-        """Return the scans not older than WINDOW with their positions, the newest last; changes nothing."""
+        """Return the scans of the last WINDOW seconds with the positions of their measurement, the newest last."""
         return tuple(seen for time, seen in self._seen if now - time <= WINDOW)
 
     def _reject(self, reason: str) -> bool:
@@ -111,10 +113,12 @@ class Scans:
 
 
 class ScanPort:
-    """Receiving end of one robot's scans, by its setting `scans`: "udp:HOST:PORT", or "" without a lidar."""
+    """Port that receives the scans of one robot.
+
+    `setting`: the robot's setting `scans`, "udp:HOST:PORT"; "" if the robot has no lidar."""
 
     def __init__(self, setting: str, robot: str, key: bytes | None, bind: Bind | None = None) -> None:
-        """`bind` opens the port of the setting."""
+        """Create the port without binding it. `bind` opens the port that a setting names."""
         self._setting = setting
         self._bind = bind or listen_for_scans
         self._link: DatagramLink | None = None
@@ -123,36 +127,37 @@ class ScanPort:
         self.scans = Scans(robot, key)
 
     def open(self) -> None:
-        """Bind the port, if there is one and it is not bound. Raises Unready."""
+        """Bind the port of the setting, unless it is bound already or the robot has no lidar. Raises Unready."""
         if not self._setting or self._link is not None:
             return
         self._link = self._bind(self._setting)
 
     def poll(self, now: float) -> None:
-        """Handle all received datagrams.
+        """Handle all datagrams that have arrived.
 
-        Raises Unready once, if no scan arrives for PATIENCE seconds: the robot must then be able to stop safely."""
+        Raises Unready if the first scan does not arrive within FIRST_SAMPLE_TIMEOUT seconds. Raises it only
+        once, because the agent goes on polling during the safe stop."""
         if self._link is None:
             return
         for datagram in waiting(self._link):
-            self.scans.take(datagram, now)
+            self.scans.receive(datagram, now)
         self._began = now if self._began is None else self._began
-        if self.waiting and self._patient and now - self._began > PATIENCE:
+        if self.waiting and self._patient and now - self._began > FIRST_SAMPLE_TIMEOUT:
             self._patient = False
             raise Unready(f"{self.waiting}, but none has come for {now - self._began:.0f} s", _HINT)
 
     @property
     def waiting(self) -> str:
-        """Text that the first scan is awaited; "" if it has arrived, or none will."""
+        """Message that the robot waits for its first scan; "" if a scan has arrived or the robot has no lidar."""
         if not self._setting or self.scans.heard:
             return ""
         rejected = ", ".join(f"{n} {why}" for why, n in self.scans.rejected.items())
         return f"waiting for scans on {self._setting}" + (f"; dropped: {rejected}" if rejected else "")
 
     def diagnose(self, wait: Callable[[float], None]) -> list[Finding]:
-        """Check whether scans arrive; nothing without a lidar. `wait` lets some seconds pass.
+        """Check whether a scan arrives within WINDOW seconds, for `diagnose` of a platform. A robot without lidar: [].
 
-        For a platform's `diagnose`. A lidar slower than WINDOW would often show nothing."""
+        `wait` waits for a number of seconds. A lidar that turns more slowly often has no visible scan, so it fails."""
         if not self._setting:
             return []
         try:
@@ -169,7 +174,7 @@ class ScanPort:
         return [Finding("scans", "fail", f"{self.waiting}, but none has come", f"one within {WINDOW:g} s", _HINT)]
 
     def close(self) -> None:
-        """Close the port. Idempotent."""
+        """Close the port of the scans. Idempotent."""
         if self._link is not None:
             self._link.close()
             self._link = None
@@ -177,12 +182,12 @@ class ScanPort:
 
 def listen_for_scans(setting: str) -> UdpLink:
     """Bind the port that a robot's setting `scans` names. Raises Unready."""
-    example = "udp:0.0.0.0:47400; leave it out when there is no lidar"
+    example = "udp:0.0.0.0:47400; remove the setting if the robot has no lidar"
     return listen("scans", setting, "scans", "the lidar's driver", example)
 
 
 def _sound(sweep: Sweep) -> bool:
-    """Return whether the numbers of a turn are valid (comparisons with NaN are false), and not too many."""
+    """Return whether all numbers of a lidar's turn are in range, and their count too. NaN is out of range."""
     p = sweep.position
     return (
         all(map(math.isfinite, (p.x, p.y, p.z, sweep.age)))

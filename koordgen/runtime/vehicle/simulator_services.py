@@ -1,8 +1,8 @@
-"""Services of a lockstep simulator for a robot's platform in its process: links and a clock.
+"""Links and a clock that a lockstep simulator offers to the platforms of robots in the simulator's process.
 
-A target's manifest names the function that creates such a platform ([simulation], `inside`). It is called with the
-robot's settings, the fleet's key and a `SimulatorServices`, and returns a platform that opens no socket, device or
-process, and uses no other clock."""
+A target's manifest names a function that creates a simulated platform (section [simulation], key `inside`). The
+function gets the robot's settings, the fleet's key and a `SimulatorServices`. It returns a platform that opens no
+socket, device or process, and reads no clock except `SimulatorServices.now` and `today`."""
 
 from __future__ import annotations
 
@@ -11,59 +11,65 @@ from typing import Protocol
 
 
 class Exchange(Protocol):
-    """Datagrams in both directions. No call blocks or raises; after `close`, none passes."""
+    """Link that transports datagrams in both directions. No method blocks or raises.
+
+    No datagram passes after `close`."""
 
     def receive(self) -> bytes | None:
-        """Return the next datagram; None if there is none now."""
+        """Return the next datagram that has arrived, or None."""
         ...
 
     def send(self, data: bytes) -> bool:
-        """Send a datagram. Return False if it could not be accepted."""
+        """Send a datagram. Return False if the link did not accept it."""
         ...
 
     def close(self) -> None: ...
 
 
 class Stream(Protocol):
-    """Serial device: bytes in both directions. `write` accepts what fits, and returns the number of bytes."""
+    """Serial device that transports bytes in both directions. `write` returns the number of bytes that it accepted."""
 
     def read(self) -> bytes: ...
 
     def write(self, data: bytes) -> int: ...
 
     def fileno(self) -> int:
-        """Return -1: there is no descriptor."""
+        """Return -1, because a simulated device has no file descriptor."""
         ...
 
     def close(self) -> None: ...
 
 
 class SimulatorServices(Protocol):
-    """Services for one robot's platform; new ones for each start of its agent.
+    """Services of the simulator for the platform of one robot. Each start of the agent gets new services.
 
-    `seed`: for its random numbers. `iterations`: bounds planners' work instead of seconds."""
+    `seed`: seed of the platform's random numbers. `iterations`: largest number of a planner's iterations, in place of a
+    limit in seconds."""
 
     seed: int
     iterations: int
 
     def now(self) -> float:
-        """Return the agent's clock in seconds."""
+        """Return the time of the agent's clock in seconds."""
         ...
 
     def today(self) -> float:
-        """Return the time of day in seconds since 1970: the same in every run."""
+        """Return the simulated time of day in seconds since 1970; it is equal in all runs."""
         ...
 
     def exchange(self, url: str) -> Exchange:
-        """Open the port of a setting, "udp:HOST:PORT" or "udpin:HOST:PORT". Raises Unready if there is none."""
+        """Open the port that `url` names, "udp:HOST:PORT" or "udpin:HOST:PORT".
+
+        Raises Unready if the simulator has no such port."""
         ...
 
     def stream(self, device: str) -> Stream:
-        """Open the serial device of this name. Raises Unready if there is none."""
+        """Open the serial device `device`. Raises Unready if the simulator has no device of this name."""
         ...
 
     def beside(self, step: Callable[[float], None]) -> None:
-        """Register a function that runs beside the agent, as a process of its own does on a robot.
+        """Register a function that runs independently of the agent, as a separate process does on a robot.
 
-        It is called 240 times a second with `now`, also while the agent is frozen, and after its death."""
+        The simulator calls `step` with the present time 240 times a second, even while the agent is frozen, and after
+        the agent's end."""
         ...

@@ -301,7 +301,7 @@ class _HistoryBuilder:
         self.doubt = ""  # reason why there may be rounds after `previous` without a record; empty if there are none
         self.came_back = False  # whether `doubt` is due to a restart or to a missing trace, not to a broken line
         # whether the robot has stopped in the present process run, and the time of the stop
-        self.resting, self.rested = False, 0.0
+        self.stopping, self.stopped = False, 0.0
         self.times: list[tuple[float, int]] = []  # (time, number) of each recorded round
         self.left = FOREVER  # first round in which the robot had left the mission
         self.whose: dict[int, Path] = {}  # round -> the file that records it
@@ -309,7 +309,7 @@ class _HistoryBuilder:
     def live(self, life: ProcessLife) -> None:
         history = self.history
         if not life.continues:
-            self.resting, self.rested, self.times, self.left = False, 0.0, [], FOREVER
+            self.stopping, self.stopped, self.times, self.left = False, 0.0, [], FOREVER
             if life is not history.lives[0]:
                 self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
         for line in life.lines:
@@ -327,18 +327,18 @@ class _HistoryBuilder:
                         self.round(life, line)
                 case "monitor":
                     history.monitors.append(record)
-                case "phase" if record["phase"] == "resting" and not self.resting:
-                    self.rested, self.resting = _time(record), True
+                case "phase" if record["phase"] == "stopping" and not self.stopping:
+                    self.stopped, self.stopping = _time(record), True
                     history.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
                 case kind if kind == LOST:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
                     pass
-        if self.resting:
-            since = max([r for time, r in self.times if time <= self.rested], default=self.previous)
+        if self.stopping:
+            since = max([r for time, r in self.times if time <= self.stopped], default=self.previous)
             history.out[-1] = history.out[-1]._replace(since=min(since + 1, self.left))
         elif self.left < FOREVER:  # the robot left the mission, but the record of its stop cannot be read
-            self.resting = True
+            self.stopping = True
             history.out.append(Gap(self.left, FOREVER, "it had come to rest"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
@@ -373,7 +373,7 @@ class _HistoryBuilder:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
         # the robot had stopped in an earlier process run, and now runs again
-        if history.out and history.out[-1].until == FOREVER and not self.resting:
+        if history.out and history.out[-1].until == FOREVER and not self.stopping:
             history.out[-1] = history.out[-1]._replace(until=round_)
         history.rounds[round_] = line
         self.previous = max(self.previous, round_)
@@ -401,7 +401,7 @@ class _HistoryBuilder:
         lives = self.history.lives
         if not lives:
             self.lose(Gap(0, FOREVER, "the robot has no trace"))
-        elif self.doubt or not self.resting:
+        elif self.doubt or not self.stopping:
             why = self.doubt or f"its trace ends there ({lives[-1].log.path})"
             self.lose(Gap(self.previous + 1, FOREVER, why))
 

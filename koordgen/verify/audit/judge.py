@@ -7,7 +7,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from koordgen.runtime.program.property import UNKNOWN, Assumption, Bound, Known, Property, Read, Trail, Unknown, judged
+from koordgen.runtime.program.property import (
+    UNKNOWN,
+    Assumption,
+    BoundName,
+    Known,
+    Property,
+    Read,
+    Trail,
+    Unknown,
+    judged,
+)
 from koordgen.verify.audit.fleet_state import FleetState
 from koordgen.verify.audit.history import FleetMission
 from koordgen.verify.audit.properties import GeneratedProperties
@@ -173,9 +183,9 @@ class PropertyJudge:
     ) -> AuditViolation:
         trail: Trail = []
         again = self._found.fleet(self._n, trail)
-        again.take(self._known)
+        again.copy_from(self._known)
         judged(property_.holds, again)
-        bound = [each for each in trail if isinstance(each, Bound)]
+        bound = [each for each in trail if isinstance(each, BoundName)]
         pids = [b.value for b in bound if b.robot and b.value in range(self._n)]
         pids += [r.robot for r in trail if isinstance(r, Read) and r.robot is not None and not pids]
         rows = tuple(self._rows(property_.reads, sorted(set(pids))[:MOST_ROBOTS]))
@@ -197,7 +207,7 @@ class PropertyJudge:
     def _broken(self, assumption: Assumption, came: _Evaluation, observation: Observation) -> AuditViolation:
         trail: Trail = []
         again = self._found.step(self._n, trail)
-        again.take(self._step)
+        again.copy_from(self._step)
         judged(assumption.holds_of_calls, again)
         pid, one = self._step.pid, self._step.one
         name = self._mission.histories[pid].name
@@ -207,7 +217,7 @@ class PropertyJudge:
             for read in reads
             if read in one
         ]
-        bound = [each for each in trail if isinstance(each, Bound)]
+        bound = [each for each in trail if isinstance(each, BoundName)]
         why = came.why if came.outcome == "no value" else ""
         where = "from the round's start to its end"
         return AuditViolation(observation, where, (name,), self._bound(bound), self._read(trail), why, tuple(rows))
@@ -215,7 +225,7 @@ class PropertyJudge:
     def _names(self, pids: list[int]) -> tuple[str, ...]:
         return tuple(dict.fromkeys(self._mission.histories[pid].name for pid in pids))
 
-    def _bound(self, bound: list[Bound]) -> tuple[str, ...]:
+    def _bound(self, bound: list[BoundName]) -> tuple[str, ...]:
         found = []
         for name, value, robot in bound:
             who = f" ({self._mission.histories[value].name})" if robot and value in range(self._n) else ""

@@ -22,7 +22,7 @@ from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.property import UNKNOWN, Properties
 from koordgen.runtime.values.points import Point
 from koordgen.verify.prove.report.table import shown
-from koordgen.verify.replay.functions import CannotCall, load, meant_value, python_value
+from koordgen.verify.replay.functions import CannotCall, load, python_value, semantic_value
 from koordgen.verify.replay.values import BadValue, from_trace
 
 # types of the arguments of a planner: a goal, and obstacles as grid cells
@@ -80,7 +80,7 @@ class GeneratedProperties:
         if value is UNKNOWN:
             return "unknown"
         type_ = self.types.get(name)
-        return shown(_short(meant_value(value, type_) if type_ is not None else value))
+        return shown(_short(semantic_value(value, type_) if type_ is not None else value))
 
     def _of(self, data: Any, type_: Type) -> Any:
         try:

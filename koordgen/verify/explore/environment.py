@@ -16,7 +16,7 @@ from koordgen.lang.semantics.property import Asked, holds_assumption
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.explore.machine import Answer, Machine, Packed, PrivateState
-from koordgen.verify.replay.functions import meant_value
+from koordgen.verify.replay.functions import semantic_value
 
 # possible answer of a path planner: the straight path from the robot's `position` to the goal
 STRAIGHT: Final = "straight"
@@ -188,7 +188,7 @@ class EnvironmentSteps:
     def _allowed(self, pid: int, robot: PrivateState, new: Mapping[str, Any]) -> bool:
         """Return whether the assumptions allow one robot's sensors to change to these values."""
         program, types = self.machine.program, self.machine.types
-        before = {n: meant_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
+        before = {n: semantic_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
         after = {**before, **new}
         for module in program.modules:
             for assumption in module.assumptions:

@@ -28,7 +28,7 @@ from koordgen.lang.semantics.exec import declared
 from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.step import initial
 from koordgen.runtime.program import program as rt
-from koordgen.verify.replay.functions import CannotCall, load, meant_value, python_value
+from koordgen.verify.replay.functions import CannotCall, load, python_value, semantic_value
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
@@ -328,7 +328,7 @@ class Machine:
             robots.append(Robot(self._meant(held.locals), ports, held.stopped))
         columns = zip(*[self.slots.values[n] for n in fleet[self.n_sys : -1]], strict=True)
         slots = {
-            name: tuple([meant_value(value, self.types[name]) for value in column])
+            name: tuple([semantic_value(value, self.types[name]) for value in column])
             for name, column in zip(self.allread, columns, strict=False)
         }
         cells = dict(zip(self.allwrite, self.cells.values[fleet[-1]], strict=True))
@@ -389,7 +389,7 @@ class Machine:
         return python_value(value, self.types[name], self.scope, self.names)
 
     def _meant(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: meant_value(value, self.types[name]) for name, value in values.items()}
+        return {name: semantic_value(value, self.types[name]) for name, value in values.items()}
 
 
 def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:

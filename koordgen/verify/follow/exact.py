@@ -1,4 +1,4 @@
-"""Comparison of a counterexample's exact numbers, which a trace stores as text, with robots' floats."""
+"""Comparison of exact numbers, which a counterexample's trace stores as text, with robots' floats."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EXACT = re.compile(r"-?[0-9]+/[0-9]+")
 
 
 def fraction(data: Any) -> str:
-    """Return the first fraction, such as "1/3", in the texts of a JSON value; empty if there is none."""
+    """Return the first fraction, such as "1/3", in a JSON value; empty if the value has no fraction."""
     match data:
         case str() if EXACT.fullmatch(data):
             return data
@@ -29,8 +29,8 @@ def fraction(data: Any) -> str:
 def nearest(data: Any) -> float:
     """Return the float that is nearest to a number of a trace, which may be a fraction as text.
 
-    Raises ValueError, TypeError or ArithmeticError, for instance if the number is so large or so small that no float is
-    near it."""
+    Raises ValueError, TypeError or ArithmeticError. An example is a number so large or so small that no float is near
+    it."""
     if not fraction(data):
         return float(data)
     exact = Fraction(data)
@@ -40,19 +40,21 @@ def nearest(data: Any) -> float:
     return near
 
 
-def agree(told: Any, meant: Any, rounded: bool = False) -> bool:
-    """Return whether two values in JSON are equal.
+def agree(recorded: Any, computed: Any, rounded: bool = False) -> bool:
+    """Return whether a value in the trace and a computed value, both in JSON, agree.
 
-    An exact number, which is a text, only needs to be equal up to ROUNDING. If `rounded`, this holds for all floats,
-    since the state that they were computed from was rounded."""
-    if isinstance(told, list) and isinstance(meant, list):
-        return len(told) == len(meant) and all(agree(t, m, rounded) for t, m in zip(told, meant, strict=True))
-    exact = isinstance(told, str) or (rounded and type(told) in (int, float) and isinstance(meant, float))
-    if exact and isinstance(meant, (int, float)) and not isinstance(meant, bool):
+    An exact number in the trace is a text, and may differ from the float by ROUNDING. If `rounded`, all floats may
+    differ by ROUNDING, because they were computed from a rounded state."""
+    if isinstance(recorded, list) and isinstance(computed, list):
+        return len(recorded) == len(computed) and all(
+            agree(t, m, rounded) for t, m in zip(recorded, computed, strict=True)
+        )
+    exact = isinstance(recorded, str) or (rounded and type(recorded) in (int, float) and isinstance(computed, float))
+    if exact and isinstance(computed, (int, float)) and not isinstance(computed, bool):
         try:
-            return isclose(Fraction(told), meant, rel_tol=ROUNDING, abs_tol=ROUNDING)
+            return isclose(Fraction(recorded), computed, rel_tol=ROUNDING, abs_tol=ROUNDING)
         except (ValueError, ArithmeticError):
             return False
-    if isinstance(told, bool) != isinstance(meant, bool):
+    if isinstance(recorded, bool) != isinstance(computed, bool):
         return False
-    return bool(told == meant) or (meant is None and told in ("inf", "-inf", "nan"))
+    return bool(recorded == computed) or (computed is None and recorded in ("inf", "-inf", "nan"))

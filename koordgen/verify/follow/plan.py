@@ -1,9 +1,9 @@
 """Plan of a counterexample for agents: the event that each robot runs in each of the agents' rounds.
 
-In a round of the semantics, atomic events run one after another, each on the store that the previous event left. Agents
-let only one robot commit per lock in a round, and all events read the store of the round's start. So one round of the
-trace is split into the fewest agents' rounds that, by the agents' rules, lead to the state in the trace. Sensors keep
-their values between these rounds.
+In a round of the semantics, atomic events run one after another. Each atomic event reads the store that the previous
+event left. In a round of agents, only one robot commits per lock, and all events read the store of the round's start.
+So one round of the trace is split into agents' rounds. The plan uses the fewest rounds that lead to the state in the
+trace. Sensors keep their values between these rounds.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from koordgen.verify.follow.exact import agree, fraction, nearest
 from koordgen.verify.follow.read import BEGINNING, ENVIRONMENT, INIT, CounterexampleTrace, RobotRecord, TraceStep
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-# Largest number of events in a round for which every split is tried. For more events, only the usual splits are tried.
+# Largest number of events in a round for which every split is tried. With more events, fewer splits are tried.
 MOST = 5
-# Number of agents' rounds at the end of a deadlock's plan, in which every robot may choose its events itself.
+# Number of agents' rounds at the end of a deadlock's plan in which every robot may choose its events itself.
 LATEST = 3
 
 SHORT = "a proof uses exact numbers: choose params (--param) or values in the program that are short decimals"
 
-Events = Mapping[int, str]  # pid -> event
+Events = Mapping[int, str]  # pid -> name of the robot's event
 
 
 class CannotExecute(Exception):
-    """Raised if the trace does not belong to this program, or robots cannot execute it.
+    """Raised if the trace does not belong to the program, or robots cannot execute the trace.
 
     The message gives the reason, `help` a remedy."""
 
@@ -45,17 +45,17 @@ class CannotExecute(Exception):
 
 
 class ModelOnly(CannotExecute):
-    """Raised if the language allows the trace, or may allow it, but agents never behave in this manner."""
+    """Raised if the language allows the trace, or may allow it, but agents never act as in the trace."""
 
 
 class AgentRound(NamedTuple):
-    """One round of agents.
+    """Round of the agents.
 
-    `of`: the round of the trace to which this round belongs.
-    `line`: the line of the trace at which this round begins.
+    `of`: the round of the trace to which the agents' round belongs.
+    `line`: the line of the trace at which the agents' round begins.
     `events`: the event that each robot must run.
     `free`: whether robots choose their events themselves.
-    `state`: the state at the start of the round.
+    `state`: the state at the start of the agents' round.
     `calls`: pid -> the recorded calls of callable ports."""
 
     of: int
@@ -67,10 +67,10 @@ class AgentRound(NamedTuple):
 
 
 class ExecutionPlan(NamedTuple):
-    """Plan of a run.
+    """Plan of a run that executes a counterexample.
 
-    `rounds`: the agents' rounds. The last round has no events; its start shows the state after the round before it.
-    `found`: the number of the agents' round after whose events the trace's violation must occur; 0 for `init`.
+    `rounds`: the agents' rounds. The last round has no events. Its start shows the state after the round before.
+    `found`: the number of the agents' round whose events must cause the trace's violation; 0 for `init`.
     `environment`: whether the violation must occur after the environment's step that follows these events."""
 
     given: CounterexampleTrace
@@ -113,7 +113,7 @@ def _plain(values: Mapping[str, Value]) -> dict[str, Any]:
 def make_plan(
     program: decl.Program, given: CounterexampleTrace, externs: Mapping[str, Callable[..., Value]]
 ) -> ExecutionPlan:
-    """Return the plan of a counterexample. Raises CannotExecute."""
+    """Return the plan for a counterexample. Raises CannotExecute."""
     return _Planner(program, given, externs).plan()
 
 
@@ -128,7 +128,7 @@ class _Planner:
         self.actuators = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "actuator"}
         self.cleared: set[tuple[int, str]] = set()  # (pid, sensor) of each sensor that a command has cleared
         self.rounds: list[AgentRound] = []
-        self.rounded = fraction([given.params, *[told for step in given.steps for told in step.robots]])
+        self.rounded = fraction([given.params, *[recorded for step in given.steps for recorded in step.robots]])
 
     def plan(self) -> ExecutionPlan:
         first, *steps = self.given.steps
@@ -160,11 +160,11 @@ class _Planner:
         return ExecutionPlan(self.given, tuple(self.rounds), calls, number, environment)
 
     def round(self, of: int, group: list[TraceStep], state: State) -> State:
-        """Plan one round of the trace. Return the state after it."""
+        """Plan one round of the trace. Return the state after the round."""
         acts = [step for step in group if step.event != ENVIRONMENT]
         moved = [step for step in group if step.event == ENVIRONMENT]
         if len(moved) > 1 or (moved and group[-1] is not moved[0]):
-            raise self.broken(moved[0], "the environment's step is not the last one of its round")
+            raise self.broken(moved[0], "the environment's step is not the last step of its round")
         if unknown := next((step for step in acts if step.event not in self.events), None):
             raise self.broken(unknown, f"the program has no event {unknown.event}")
         if len({step.pid for step in acts}) < len(acts):
@@ -178,15 +178,15 @@ class _Planner:
             self.note(self.done(block, state, self.world(calls)) or ())
             state = after
         if moved:
-            state = sense(state, [self.sensed(moved[0], told, pid) for pid, told in enumerate(moved[0].robots)])
+            state = sense(state, [self.sensed(moved[0], recorded, pid) for pid, recorded in enumerate(moved[0].robots)])
             self.compare(moved[0], state)
         return state
 
     def split(self, acts: list[TraceStep], state: State, world: World) -> list[tuple[list[TraceStep], State]]:
         """Return the fewest agents' rounds that lead to the state in the trace.
 
-        For each of them, return its steps and the state after it. Raises CannotExecute if no agents' rounds lead to
-        that state."""
+        Each agents' round is returned as its steps and the state after the round. Raises CannotExecute if no agents'
+        rounds lead to the state in the trace."""
         off = ""
         for blocks in self.splits(acts):
             at, found = state, []
@@ -213,8 +213,8 @@ class _Planner:
             raise ModelOnly(
                 f"{place}: {names} does not lead to the state in the trace ({off})" if off
                 else f"{place}: {names} has no result in the trace's first state",
-                "a plain event reads the store of its round's start, and a proof's step may begin within a round, when "
-                "others have written since; robots begin with a round",
+                "an event without a lock reads the store of its round's start: a proof's step may begin later in a "
+                "round, after writes of other robots, but agents always begin with a round's start",
             )  # fmt: skip
         after = self.stepped(acts, state, world)
         kind = CannotExecute if after is None or self.differs(acts[-1], after) else ModelOnly
@@ -241,8 +241,9 @@ class _Planner:
     def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
         """Yield possible distributions of a round's events over agents' rounds, few rounds first.
 
-        The first one has all events in one round. The next ones have each atomic event in a round of its own, in the
-        trace's order, and all plain events together in one round. For at most MOST events, all partitions follow."""
+        The first distribution has all events in one round. The next distributions have one round for each atomic event,
+        in the trace's order, and one round for all plain events, which may share it with an atomic event. For at most
+        MOST events, all partitions follow."""
         plain_ones = [step for step in acts if self.events[step.event].lock is None]
         atomic = [step for step in acts if step not in plain_ones]
         yield [acts]
@@ -259,8 +260,9 @@ class _Planner:
     def done(self, block: list[TraceStep], state: State, world: World, begun: State | None = None) -> list[Done] | None:
         """Return the steps of one agents' round, all of which read the store of the round's start.
 
-        Returns None if a step is impossible, or if two steps need the same lock. `begun`: the state at the start of the
-        trace's round, which decides the events with priority; None if it is `state`."""
+        Returns None if a step is impossible, or if two steps need the same lock.
+        `begun`: the state at the start of the trace's round, in which the guards of events with priority are evaluated;
+            None if this state equals `state`."""
         locks = [lock for step in block if (lock := self.events[step.event].lock) is not None]
         if len(set(locks)) < len(locks):
             return None
@@ -283,18 +285,20 @@ class _Planner:
 
     def begun(self, first: TraceStep) -> State:
         """Return the first state of the trace."""
-        sensors = [self.sensed(first, told, pid) for pid, told in enumerate(first.robots)]
+        sensors = [self.sensed(first, recorded, pid) for pid, recorded in enumerate(first.robots)]
         state = initial(self.program, self.given.n_sys, sensors)
         if self.given.initial:
             self.compare(first, state)
             return state
         robots, slots = [], {name: list(held) for name, held in state.store.slots.items()}
         cells = dict(state.store.cells)
-        for pid, told in enumerate(first.robots):
-            values = self.values(first, {**told.locals, **told.actuators, **told.sensors, **told.shared})
+        for pid, recorded in enumerate(first.robots):
+            values = self.values(
+                first, {**recorded.locals, **recorded.actuators, **recorded.sensors, **recorded.shared}
+            )
             own = {name: values[name] for name in state.robots[pid].locals}
             ports = {name: values[name] for name in state.robots[pid].ports}
-            robots.append(Robot(own, ports, told.stopped))
+            robots.append(Robot(own, ports, recorded.stopped))
             for name, held in slots.items():
                 held[pid] = values[name]
             cells = {name: values[name] for name in cells}
@@ -303,21 +307,21 @@ class _Planner:
         self.compare(first, state)
         return state
 
-    def sensed(self, step: TraceStep, told: RobotRecord, pid: int) -> dict[str, Value]:
-        if set(told.sensors) != self.sensors:
-            raise self.broken(step, f"the trace's sensors are {', '.join(told.sensors) or 'none'}")
+    def sensed(self, step: TraceStep, recorded: RobotRecord, pid: int) -> dict[str, Value]:
+        if set(recorded.sensors) != self.sensors:
+            raise self.broken(step, f"the trace's sensors are {', '.join(recorded.sensors) or 'none'}")
         known: dict[str, Value] = dict.fromkeys(self.unset(pid), True) if self.given.initial else {}
-        return {**self.values(step, told.sensors), **known}
+        return {**self.values(step, recorded.sensors), **known}
 
-    def values(self, step: TraceStep, told: Mapping[str, Any]) -> dict[str, Value]:
+    def values(self, step: TraceStep, recorded: Mapping[str, Any]) -> dict[str, Value]:
         try:
-            return {name: from_trace(value, self.types[name], nearest) for name, value in told.items()}
+            return {name: from_trace(value, self.types[name], nearest) for name, value in recorded.items()}
         except BadValue as error:
             raise CannotExecute(
                 f"{self.given.path}:{step.line}: {error} within the precision of robots' numbers", SHORT
             ) from None
         except KeyError as error:
-            raise self.broken(step, f"the program has no {error}") from None
+            raise self.broken(step, f"the program has no variable {error}") from None
 
     def world(self, calls: Mapping[int, tuple[Any, ...]]) -> World:
         """Return a world in which callable ports give the answers that the trace contains."""
@@ -338,7 +342,7 @@ class _Planner:
                 self.cleared |= {(step.pid, s) for name in step.outcome.ports for s in cleared.get(name, ())}
 
     def unset(self, pid: int) -> set[str]:
-        """Return the sensors of a robot that commands clear, but that no command has cleared yet.
+        """Return the clearable sensors of a robot that no command has cleared yet.
 
         On robots these sensors are true, even if a counterexample to induction contains another value."""
         return {sensor for sensor in clearable(self.program) if (pid, sensor) not in self.cleared}
@@ -349,22 +353,22 @@ class _Planner:
 
     def differs(self, step: TraceStep, state: State) -> str:
         """Return a description of a difference between a state and the trace; empty if they are equal."""
-        for pid, told in enumerate(step.robots):
+        for pid, recorded in enumerate(step.robots):
             robot = state.robots[pid]
-            meant = {**robot.locals, **robot.ports, **state.store.cells}
-            meant |= {name: held[pid] for name, held in state.store.slots.items()}
-            said = {**told.locals, **told.actuators, **told.sensors, **told.shared}
+            computed = {**robot.locals, **robot.ports, **state.store.cells}
+            computed |= {name: held[pid] for name, held in state.store.slots.items()}
+            said = {**recorded.locals, **recorded.actuators, **recorded.sensors, **recorded.shared}
             said |= {name: robot.ports[name] for name in self.unset(pid)}
-            for name in [*meant, *[n for n in said if n not in meant]]:
-                if name not in meant or name not in said or not self.agree(said[name], plain(meant[name])):
-                    values = f"{said.get(name)!r} in the trace and {plain(meant.get(name))!r} by the program"
+            for name in [*computed, *[n for n in said if n not in computed]]:
+                if name not in computed or name not in said or not self.agree(said[name], plain(computed[name])):
+                    values = f"{said.get(name)!r} in the trace and {plain(computed.get(name))!r} by the program"
                     return f"{name} of robot {pid} is {values}"
-            if told.stopped != robot.stopped:
-                return f"robot {pid} has{'' if told.stopped else ' not'} stopped in the trace"
+            if recorded.stopped != robot.stopped:
+                return f"robot {pid} has{'' if recorded.stopped else ' not'} stopped in the trace"
         return ""
 
-    def agree(self, told: Any, meant: Any) -> bool:
-        return agree(told, meant, bool(self.rounded))
+    def agree(self, recorded: Any, computed: Any) -> bool:
+        return agree(recorded, computed, bool(self.rounded))
 
     def broken(self, step: TraceStep, why: str) -> CannotExecute:
         return CannotExecute(
@@ -386,14 +390,14 @@ def _by_round(steps: list[TraceStep]) -> Iterator[tuple[int, list[TraceStep]]]:
 def _calls(steps: list[TraceStep]) -> dict[int, tuple[Any, ...]]:
     found: dict[int, tuple[Any, ...]] = {}
     for step in steps:
-        for pid, told in enumerate(step.robots):
-            if told.calls:
-                found[pid] = (*found.get(pid, ()), *told.calls)
+        for pid, recorded in enumerate(step.robots):
+            if recorded.calls:
+                found[pid] = (*found.get(pid, ()), *recorded.calls)
     return found
 
 
 def _partitions(acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
-    """Yield every partition of a round's events into a sequence of rounds."""
+    """Yield every partition of a round's events into a sequence of agents' rounds."""
     if not acts:
         yield []
         return

@@ -1,4 +1,4 @@
-"""Parser of a counterexample's trace: reads it as steps of a fleet.
+"""Parser of a counterexample's trace, which reads the trace as steps of a fleet.
 
 koordgen/verify/prove/report/trace.py writes such traces.
 """
@@ -14,9 +14,9 @@ from koordgen.verify.replay.trace import TraceParts, records
 
 BEGINNING, INIT, ENVIRONMENT = "the beginning", "init", "(environment)"
 GROUPS = ("sensors", "shared", "actuators", "locals")
-MOST_ROBOTS = 128  # the same limit as in koordgen/runtime/net/wire.py; a test compares both
+MOST_ROBOTS = 128  # same limit as in koordgen/runtime/net/wire.py; a test compares both limits
 
-Values = Mapping[str, Any]  # name -> value in JSON
+Values = Mapping[str, Any]  # name of a variable -> value in JSON
 
 
 class RobotRecord(NamedTuple):
@@ -33,11 +33,11 @@ class RobotRecord(NamedTuple):
 
 
 class TraceStep(NamedTuple):
-    """One step of the fleet.
+    """Step of the fleet.
 
     `line`: the line of the step's first record.
     `event`: BEGINNING, INIT, ENVIRONMENT, or the name of an event.
-    `pid`: the robot that runs the event; -1 for the other steps."""
+    `pid`: the robot that runs the event; -1 for steps that are no event."""
 
     line: int
     round: int
@@ -47,10 +47,11 @@ class TraceStep(NamedTuple):
 
 
 class Ending(NamedTuple):
-    """Violation after the last step.
+    """Violation after the last step of a counterexample.
 
     `name`: the violated property.
-    `pid`, `event`: the event that would come next but has no result, if this is the violation; otherwise -1 and ""."""
+    `pid`, `event`: the robot and its next event, if the violation is that this event has no result; otherwise -1 and
+    ""."""
 
     name: str
     line: str
@@ -64,9 +65,9 @@ class CounterexampleTrace(NamedTuple):
 
     `initial`: whether the trace begins in an initial state.
     `params`: values of all params, in JSON.
-    `given`: the names of the params that differ from the program's values.
+    `given`: the names of the params whose values differ from the program's values.
     `ending`: the violation; None if the trace is cut off or contains no violation.
-    `cut`: the line from which on the trace cannot be read; 0 if all of it can be read."""
+    `cut`: the first line that cannot be read; 0 if all lines can be read."""
 
     path: Path
     app: str
@@ -81,14 +82,14 @@ class CounterexampleTrace(NamedTuple):
 
 
 def read(path: Path) -> CounterexampleTrace:
-    """Read a trace, as far as it can be read. Raises BadTrace."""
+    """Read a trace, as far as its lines are complete. Raises BadTrace."""
     blank = TraceParts(path, "", "", (), False, 0)
     lines = records(blank)
     number, header, line = next(lines, (0, {}, b""))
     if not format_of(line):
         raise BadTrace(f"{path}: {NO_HEADER}")
     if header.get("counterexample") not in ("run", "step"):
-        raise BadTrace(f"{path}: not the trace of a counterexample, as `koordgen explore --trace` writes it")
+        raise BadTrace(f"{path}: not the trace of a counterexample, which `koordgen explore --trace` writes")
     try:
         app, program_hash = str(header["app"]), str(header["program_hash"])
         n_sys, params, given = len(header["robots"]), _table(header["params"]), tuple(header["given"])
@@ -119,13 +120,13 @@ def _steps(
         try:
             if record.get("kind") == "violation":
                 if part:
-                    raise ValueError("a step lacks robots")
+                    raise ValueError("the last step lacks the records of some robots")
                 return tuple(steps), _ending(record, n_sys), 0
             if record.get("kind") != "round":
                 continue
             first = first if part else number
             if record["pid"] != len(part):
-                raise ValueError(f"robot {record['pid']!r} instead of robot {len(part)}")
+                raise ValueError(f"found robot {record['pid']!r}, expected robot {len(part)}")
             part.append(record)
             if len(part) == n_sys:
                 steps.append(_step(first, part))
@@ -138,7 +139,7 @@ def _steps(
 def _step(line: int, part: list[dict[str, Any]]) -> TraceStep:
     event, round_ = part[0]["step"], part[0]["round"]
     if type(event) is not str or type(round_) is not int or round_ < 0:
-        raise ValueError(f"step {event!r} of round {round_!r}")
+        raise ValueError(f"expected a step and a round, found {event!r} and {round_!r}")
     if any((record["step"], record["round"]) != (event, round_) for record in part):
         raise ValueError("the records of one step name different steps")
     acting = [pid for pid, record in enumerate(part) if record["skipped"] is None]
@@ -152,18 +153,18 @@ def _record(record: dict[str, Any]) -> RobotRecord:
     sensors, shared, actuators, locals_ = (_table(record[group]) for group in GROUPS)
     calls = tuple([(port, list(args), answer) for port, args, answer in record.get("calls", ())])
     if any(type(port) is not str for port, _, _ in calls):
-        raise ValueError("calls")
+        raise ValueError("a call of a port without a name")
     return RobotRecord(sensors, shared, actuators, locals_, record["stopped"] is True, calls)
 
 
 def _ending(record: dict[str, Any], n_sys: int) -> Ending:
     pid, event = record.get("pid", -1), record.get("event", "")
     if type(pid) is not int or not -1 <= pid < n_sys or type(event) is not str:
-        raise ValueError(f"robot {pid!r}, event {event!r}")
+        raise ValueError(f"expected a robot and an event, found {pid!r} and {event!r}")
     return Ending(str(record["name"]), str(record["line"]), str(record["detail"]), pid, event)
 
 
 def _table(value: Any) -> Values:
     if not isinstance(value, dict):
-        raise TypeError(f"{value!r} instead of a table")
+        raise TypeError(f"expected a table, found {value!r}")
     return value

@@ -1,6 +1,6 @@
 """Replay of a whole trace, robot by robot.
 
-If the trace contains all robots of the fleet, the shared store is compared, too.
+If the trace contains all robots of the fleet, the replay also compares the shared store.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def replay_trace(
 ) -> Iterator[Difference]:
     """Yield every difference between trace and program, in the trace's order.
 
-    Raises BadTrace, Unreplayable."""
+    Raises BadTrace or Unreplayable."""
     n_sys = len(trace.robots)
     robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
     stores = None if trace.own else Stores(program, n_sys, trace)
@@ -31,9 +31,9 @@ def replay_trace(
             yield from _view(line, views)
             continue
         if line.record["kind"] == "init":
-            views.clear()  # the views recorded so far belong to an earlier mission
+            views.clear()  # the views known so far belong to an earlier mission
         robot = robots[line.pid]
-        # the previous part of the trace ends within a record, so records are missing here
+        # The previous part of the trace ends in the middle of a record, so records are missing between the parts.
         if trace.cut and line.record["kind"] == "checkpoint":
             robot.skip()
         yield from robot.line(line)
@@ -46,29 +46,29 @@ def replay_trace(
 
 
 def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
-    """Compare a view record with the views recorded so far.
+    """Compare a view record with the views that the trace recorded before.
 
-    All records of the same view number must agree."""
+    All records with the same view number must agree."""
     try:
         number, since, members = int(line.record["number"]), int(line.record["since"]), line.record["members"]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise Unreplayable(line.number, f"a broken record: {error!r}") from None
-    meant = views.setdefault(number, (since, members))
-    if (since, members) != meant:
-        told = [f"{who} from round {begins} on" for begins, who in ((since, members), meant)]
-        yield Difference(line.number, since, line.pid, f"view {number}", *told)
+    first = views.setdefault(number, (since, members))
+    if (since, members) != first:
+        texts = [f"{who} from round {begins} on" for begins, who in ((since, members), first)]
+        yield Difference(line.number, since, line.pid, f"view {number}", *texts)
 
 
 class Stores:
     """Shared store after each round, computed from the writes that all robots recorded.
 
-    The writes of commits are applied first, then those of plain events by ascending pid. If a robot's process ended, it
-    may have written without a record. So the store is unknown from that round on."""
+    The writes of commits are applied first, then the writes of plain events by ascending pid. A robot whose process
+    ended may have written without a record. So the store is unknown from that round on."""
 
     def __init__(self, program: decl.Program, n_sys: int, trace: TraceParts) -> None:
         self._writes = RecordedWrites(program, n_sys)
         ends = dict.fromkeys(range(n_sys), 0)
-        acted = dict.fromkeys(range(n_sys), 0)  # last round in which a robot recorded an event
+        acted = dict.fromkeys(range(n_sys), 0)  # pid -> last round in which the robot recorded an event
         until = float("inf")
         for line in trace.lines():
             record = line.record
@@ -85,7 +85,7 @@ class Stores:
         self._until = min(until, min(ends.values()))
         self._known: dict[int, Shown] = {
             0: self._writes.after(self._writes.first(), 0)
-        }  # round -> store after the round
+        }  # round -> shared store after this round
 
     def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
         """Compare a robot's copy of the store at a round's start with the store after the previous round."""
@@ -93,15 +93,15 @@ class Stores:
         if round_ - 1 > self._until:
             return
         store = self._of(round_ - 1)
-        for name, meant in store.items():
+        for name, computed in store.items():
             if name in self._writes.slots:
-                for pid, own in enumerate(meant):
+                for pid, own in enumerate(computed):
                     if plain(copy[name][pid]) != own:
                         yield Difference(
                             line.number, round_, line.pid, f"copy of {name}[{pid}]", plain(copy[name][pid]), own
                         )
-            elif plain(copy[name]) != meant:
-                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), meant)
+            elif plain(copy[name]) != computed:
+                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), computed)
 
     def _of(self, round_: int) -> Shown:
         latest = max(self._known)

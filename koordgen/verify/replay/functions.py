@@ -18,7 +18,7 @@ from koordgen.lang.semantics.values import RecordValue, Value
 
 
 class CannotCall(Exception):
-    """Raised if the file of the extern functions cannot be used; the message gives the reason."""
+    """Raised if the file with the extern functions cannot be used. The message gives the reason."""
 
 
 def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[..., Value]]:
@@ -31,14 +31,15 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
         )
     load(program, file)
     names = Names(program)
-    module = sys.modules["replayed"] = ModuleType("replayed")  # Python resolves the annotations of record classes here
+    # Python resolves the annotations of record classes in this module.
+    module = sys.modules["replayed"] = ModuleType("replayed")
     vars(module)["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), vars(module))
     return {f.name: _called(f, vars(module), names) for f in program.externs}
 
 
 def load(program: decl.Program, file: Path) -> None:
-    """Import the user's file as the module name that generated code imports. Raises CannotCall."""
+    """Import the user's file under the module name that generated code imports. Raises CannotCall."""
     name = functions_module(program)
     # The explicit loader accepts a file with any suffix.
     spec = util.spec_from_file_location(name, file, loader=SourceFileLoader(name, str(file)))
@@ -61,7 +62,7 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
     def call(*args: Value) -> Value:
         types = [parameter.type for parameter in function.parameters]
-        return meant_value(
+        return semantic_value(
             wrapped(*[python_value(a, t, scope, names) for a, t in zip(args, types, strict=True)]), function.result
         )
 
@@ -69,9 +70,9 @@ def _called(function: decl.ExternFunction, scope: Mapping[str, Any], names: Name
 
 
 def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names) -> Any:
-    """Convert a value of the semantics to the robots' form.
+    """Convert a value of the semantics to the form that robots use.
 
-    In the robots' form, records are objects of the program's classes."""
+    Robots represent records as objects of the program's classes."""
     match type_:
         case RecordType(name, fields):
             parts = zip(value.fields, fields, strict=True)
@@ -86,17 +87,17 @@ def python_value(value: Any, type_: Type, scope: Mapping[str, Any], names: Names
             return value
 
 
-def meant_value(value: Any, type_: Type) -> Value:
+def semantic_value(value: Any, type_: Type) -> Value:
     match type_:
         case RecordType(name, fields):
             parts = [getattr(value, field) for field in value.__struct_fields__]
-            return RecordValue(name, tuple([meant_value(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
+            return RecordValue(name, tuple([semantic_value(p, t) for p, (_, t) in zip(parts, fields, strict=True)]))
         case Sequence(_, element) | PerRobot(element):
-            return tuple([meant_value(part, element) for part in value])
+            return tuple([semantic_value(part, element) for part in value])
         case MapOf(key, held):
-            return tuple([(meant_value(k, key), meant_value(v, held)) for k, v in value])
+            return tuple([(semantic_value(k, key), semantic_value(v, held)) for k, v in value])
         case TupleOf(items):
-            return tuple([meant_value(part, t) for part, t in zip(value, items, strict=True)])
+            return tuple([semantic_value(part, t) for part, t in zip(value, items, strict=True)])
         case _:
             found: Value = value
             return found

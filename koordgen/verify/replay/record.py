@@ -1,6 +1,7 @@
-"""Checks of a trace's records: their form, as the schema demands it, and limits of their values.
+"""Checks of a trace's records: their form according to the schema, and limits of their values.
 
-A trace is untrusted input. Each reader of a trace calls `sound` first, and may then rely on the record's keys.
+A trace is untrusted input. Each reader of a trace first calls `sound`. After that call, the reader may rely on the
+record's keys.
 """
 
 from __future__ import annotations
@@ -10,16 +11,16 @@ from typing import Any
 
 from koordgen.runtime.trace.schema import KINDS, misfit
 
-MOST_JUMP = 100_000  # largest number of rounds from one record to the next
+MOST_JUMP = 100_000  # largest number of rounds from one record to the next record
 _WRITES = ("locals", "shared", "actuators", "stopped")
 
 
 class Unsound(ValueError):
-    """Raised if a record is unusable; the message describes the mistake."""
+    """Raised if a record is unusable. The message describes the mistake."""
 
 
 def sound(record: Mapping[str, Any], line: bytes) -> dict[str, Any]:
-    """Return those fields of a record that the schema knows. Raises Unsound.
+    """Return the fields of a record that the schema knows. Raises Unsound.
 
     `line`: the text of the record. The schema must contain the record's kind."""
     kind = record["kind"]

@@ -1,4 +1,4 @@
-"""Replay of one robot's rounds: runs them on the recorded inputs, and compares the recorded outputs."""
+"""Replay of one robot's rounds: runs them on recorded inputs, and compares recorded outputs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from koordgen.verify.replay.store import had_frame
 from koordgen.verify.replay.trace import TraceLine
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
-# Reason of a discarded event that depends on the robot's clock alone, so that no replay can check it.
+# Reason of a discarded event that depends only on the robot's clock. No replay can check such a reason.
 OVERRAN = "not finished by the round's publish deadline"
 
 
@@ -27,19 +27,19 @@ class Difference(NamedTuple):
     """Difference between trace and program.
 
     `number`: the line of the trace.
-    `told`: the value in the trace.
-    `meant`: the value that the semantics computes."""
+    `recorded`: the value in the trace.
+    `computed`: the value that the semantics computes."""
 
     number: int
     round: int
     pid: int
     what: str
-    told: Any
-    meant: Any
+    recorded: Any
+    computed: Any
 
 
 class Unreplayable(Exception):
-    """Raised if a trace cannot be replayed. `number` is the line, `why` the reason."""
+    """Raised if a trace cannot be replayed. `number` is the trace's line, `why` the reason."""
 
     def __init__(self, number: int, why: str) -> None:
         super().__init__(f"line {number}: {why}")
@@ -50,7 +50,7 @@ class Unreplayable(Exception):
 class Counts:
     rounds: int = 0
     events: int = 0
-    violated: int = 0  # number of events and `init`s in which, by the semantics, a loop invariant was false
+    violated: int = 0  # number of events and `init`s in which the semantics finds a false loop invariant
     late: int = 0  # number of events that exceeded their time budget, which no replay can check
 
 
@@ -59,8 +59,9 @@ class Replay:
     """Replay of one robot.
 
     `externs`: the extern functions, as in `World`.
-    `followed`: "run" or "step" if the run executed a counterexample; otherwise empty. In such a run a robot may run any
-        enabled event, or none. For "step", the record of `init` contains the first state of the counterexample."""
+    `followed`: "run" or "step" if the traced run executed a counterexample; otherwise empty. In such a run, a robot may
+        run any enabled event or no event. For "step", the record of `init` contains the first state of the
+        counterexample."""
 
     program: decl.Program
     externs: Mapping[str, Any]
@@ -75,15 +76,16 @@ class Replay:
         self._slots = {v.name for v in self.program.shared if v.kind == "allread"}
         self._own: dict[str, Value] = dict(self._first.robots[self.pid].locals)
         self._actuators: dict[str, Value] = {}
-        self._store: dict[str, Any] = {}  # the robot's copy of the store; an allread variable is a dictionary by pid
+        self._store: dict[str, Any] = {}  # the robot's copy of the store; an allread variable maps pid -> value
         self._streams: list[tuple[str, str]] = []
         self._round = 0
-        self._begun = False  # whether the values of the robot's own variables are known
-        # Copy of the shared store that the robot saw, by its last record; allread variables by pid.
+        self._begun = False  # whether the values of the robot's own variables are known.
+        # Copy of the shared store that the robot read according to its last record. An allread variable maps pid ->
+        # value.
         self.saw: Mapping[str, Any] | None = None
 
     def line(self, line: TraceLine) -> Iterator[Difference]:
-        """Replay one record, and yield the differences in it. Raises Unreplayable."""
+        """Replay one record, and yield the differences in the record. Raises Unreplayable."""
         self.saw = None
         record = line.record
         try:
@@ -95,29 +97,29 @@ class Replay:
                 case "round":
                     yield from self.end(line.number)
                     self._round = int(record["round"])
-                    yield from self._take_round(line, record)
+                    yield from self._replay_round(line, record)
                 case _:
                     yield from self._stream(line, record)
         except (BadValue, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
-            told = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
-            raise Unreplayable(line.number, told) from None
+            reason = str(error) if isinstance(error, BadValue) else f"a broken record: {error!r}"
+            raise Unreplayable(line.number, reason) from None
 
     def end(self, number: int) -> Iterator[Difference]:
         """Yield the differences at the end of the last round.
 
-        These are outputs of streams that the trace does not contain."""
+        The differences are stream outputs of the program that the trace does not contain."""
         for port, text in self._streams:
             yield Difference(number, self._round, self.pid, port, None, text)
         self._streams = []
 
     def skip(self) -> None:
-        """Prepare for a gap in the records: the robot's own variables in the next record are not compared."""
+        """Prepare for a gap in the records. The robot's own variables are not compared in the next record."""
         self._begun, self._streams = False, []
 
     def _checkpoint(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         """Continue with the next part of a trace, which begins with the values of the robot's own variables.
 
-        If the previous part was replayed to its end, these values must equal the last values in it."""
+        If the previous part was replayed to its end, these values must equal the last values in the previous part."""
         self._store = {}
         if self._begun and record["round"] != self._round:
             self.skip()
@@ -126,14 +128,14 @@ class Replay:
         if own is None:
             return
         for group, known in (("locals", self._own), ("actuators", self._actuators)):
-            told = own.get(group, {})
-            for name in {**known, **told}:
-                meant = plain(known[name]) if name in known else None
-                if name in known and told.get(name) == meant:
-                    continue  # keep the computed value: null in the trace stands for any number that is not finite
+            recorded = own.get(group, {})
+            for name in {**known, **recorded}:
+                computed = plain(known[name]) if name in known else None
+                if name in known and recorded.get(name) == computed:
+                    continue  # keep the computed value: null in a trace denotes any number that is not finite
                 if self._begun:
-                    yield Difference(line.number, self._round, self.pid, name, told.get(name), meant)
-                known.update(self._values({name: told[name]} if name in told else {}))
+                    yield Difference(line.number, self._round, self.pid, name, recorded.get(name), computed)
+                known.update(self._values({name: recorded[name]} if name in recorded else {}))
         self._begun = True
 
     def _init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
@@ -151,17 +153,17 @@ class Replay:
         if isinstance(done, Discarded):
             yield Difference(line.number, 0, self.pid, "init", "it ran", f"init is discarded: {done}")
         else:
-            meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
-            yield from self._compared(line, record, {**meant, "actuators": {**actuators, **done.ports}})
+            computed = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "stopped": done.stopped}
+            yield from self._compared(line, record, {**computed, "actuators": {**actuators, **done.ports}})
             yield from self._loops(line, record, done)
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """Return the actuators that no event wrote and that hold at an undeclared sensor."""
+        """Return the actuators that no event wrote and whose hold value is that of an undeclared sensor."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
         return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 
-    def _take_round(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
+    def _replay_round(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         self.counts.rounds += 1
         restored = record.get("restored")
         if restored is not None:
@@ -177,11 +179,11 @@ class Replay:
         if fault is not None:
             yield from self._fault(line, event, fault, chosen, state, record)
             return
-        meant = (
+        computed = (
             None if chosen is None else chosen.name if isinstance(chosen, decl.Event) else f"{chosen.event} discarded"
         )
-        if event != meant:
-            yield Difference(line.number, self._round, self.pid, "the event", event, meant)
+        if event != computed:
+            yield Difference(line.number, self._round, self.pid, "the event", event, computed)
         elif isinstance(chosen, decl.Event):
             self.counts.events += 1
             yield from self._event(
@@ -196,9 +198,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
-        """Return the event that the robot must have chosen; None for no event.
+        """Return the event that the robot must have chosen; None if the robot must choose no event.
 
-        If the guard of that event has no value, return the discarded step."""
+        If the guard of the event has no value, return the discarded step."""
         world, name = self._world(record), record.get("event")
         if not self.followed:
             return select(self.program, state, self.pid, world)
@@ -215,23 +217,25 @@ class Replay:
                 line.number, self._round, self.pid, f"event {record['event']}", "it counted", f"discarded: {done}"
             )
             return
-        # The record omits a local variable that was written with the value that it already had.
-        told = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
-        meant = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
-        yield from self._compared(line, {**record, "locals": told}, {**meant, "stopped": done.stopped})
+        # The record omits a local variable if the event wrote the variable's old value again.
+        recorded = {**{name: plain(value) for name, value in self._own.items()}, **record.get("locals", {})}
+        computed = {"locals": done.locals, "shared": {**done.slots, **done.cells}, "actuators": done.ports}
+        yield from self._compared(line, {**record, "locals": recorded}, {**computed, "stopped": done.stopped})
         yield from self._loops(line, record, done)
         self._streams = list(done.streams)
-        # keep the computed value: null in the trace stands for any number that is not finite
+        # Keep the computed value, because null in a trace denotes any number that is not finite.
         for name, value in done.locals.items():
-            if plain(value) == told[name]:
+            if plain(value) == recorded[name]:
                 self._own[name] = value
 
     def _loops(self, line: TraceLine, record: dict[str, Any], done: Writes) -> Iterator[Difference]:
-        """Compare the lines of the loop invariants that were false in the event."""
-        told, meant = record.get("violated", []), [span.line for span in done.violated]
-        self.counts.violated += bool(meant)
-        if told != meant:
-            yield Difference(line.number, self._round, self.pid, "the list of false loop invariants", told, meant)
+        """Compare the recorded lines of false loop invariants with the semantics."""
+        recorded, computed = record.get("violated", []), [span.line for span in done.violated]
+        self.counts.violated += bool(computed)
+        if recorded != computed:
+            yield Difference(
+                line.number, self._round, self.pid, "the list of false loop invariants", recorded, computed
+            )
 
     def _fault(
         self, line: TraceLine, event: str | None, fault: dict[str, Any], chosen: decl.Event | Step | None, state: State,
@@ -239,37 +243,42 @@ class Replay:
     ) -> Iterator[Difference]:  # fmt: skip
         """Check that a discarded event has no value by the semantics.
 
-        An event that was discarded because it was late is not checked: only the robot's clock decides this."""
+        An event that was discarded because it was late is not checked, because only the robot's clock decides
+        lateness."""
         if fault.get("reason") == OVERRAN:
             self.counts.late += 1
             return
         done: Any = chosen.outcome if isinstance(chosen, Step) else chosen
         if isinstance(chosen, decl.Event):
             done = execute(self.program, chosen.effect, state, self.pid, self._world(record))
-        told = f"discarded at line {fault.get('line')}: {fault.get('reason')}"
+        recorded = f"discarded at line {fault.get('line')}: {fault.get('reason')}"
         name = chosen.name if isinstance(chosen, decl.Event) else None
         if not isinstance(done, Discarded):
-            yield Difference(line.number, self._round, self.pid, f"event {event or name}", told, "it counts")
+            yield Difference(line.number, self._round, self.pid, f"event {event or name}", recorded, "it counts")
         elif event != name or done.span.line != fault.get("line"):
-            yield Difference(line.number, self._round, self.pid, f"event {event}", told, f"{name} discarded at {done}")
+            yield Difference(
+                line.number, self._round, self.pid, f"event {event}", recorded, f"{name} discarded at {done}"
+            )
 
     def _stream(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
-        told = (str(record["port"]), str(record["text"]))
-        meant = self._streams.pop(0) if self._streams else None
-        if told != meant:
-            yield Difference(line.number, int(record["round"]), self.pid, told[0], told[1], meant and meant[1])
+        recorded = (str(record["port"]), str(record["text"]))
+        computed = self._streams.pop(0) if self._streams else None
+        if recorded != computed:
+            yield Difference(
+                line.number, int(record["round"]), self.pid, recorded[0], recorded[1], computed and computed[1]
+            )
 
-    def _compared(self, line: TraceLine, record: dict[str, Any], meant: Mapping[str, Any]) -> Iterator[Difference]:
-        for group, values in meant.items():
-            told = record.get(group, False if group == "stopped" else {})
+    def _compared(self, line: TraceLine, record: dict[str, Any], computed: Mapping[str, Any]) -> Iterator[Difference]:
+        for group, values in computed.items():
+            recorded = record.get(group, False if group == "stopped" else {})
             if group == "stopped":
-                if bool(told) != values:
-                    yield Difference(line.number, self._round, self.pid, "stop", bool(told), values)
+                if bool(recorded) != values:
+                    yield Difference(line.number, self._round, self.pid, "stop", bool(recorded), values)
                 continue
-            for name in [*values, *[n for n in told if n not in values]]:
+            for name in [*values, *[n for n in recorded if n not in values]]:
                 wanted = plain(values[name]) if name in values else None
-                if name not in told or name not in values or told[name] != wanted:
-                    yield Difference(line.number, self._round, self.pid, name, told.get(name), wanted)
+                if name not in recorded or name not in values or recorded[name] != wanted:
+                    yield Difference(line.number, self._round, self.pid, name, recorded.get(name), wanted)
 
     def _learn(self, copy: dict[str, Any]) -> None:
         for name, value in copy.items():
@@ -280,9 +289,9 @@ class Replay:
                 self._store[name] = from_trace(value, self._types[name])
 
     def _state(self, line: TraceLine, record: dict[str, Any]) -> State:
-        """Return the state that this robot read in the round.
+        """Return the state that the robot read in the round.
 
-        The own variables of other robots are unknown, but no event reads them."""
+        The other robots' own variables are unknown, but no event reads these variables."""
         for shared in self.program.shared:
             known = self._store.get(shared.name)
             if known is None or (shared.kind == "allread" and len(known) < self.n_sys):
@@ -294,7 +303,7 @@ class Replay:
         return State(self._first.params, robots, Store(slots, cells), self._round)
 
     def _world(self, record: dict[str, Any]) -> World:
-        """Return a world in which callable ports give the recorded answers, in their order; other calls fail."""
+        """Return a world in which callable ports give the recorded answers. Calls without a record fail."""
         calls = [(port, args, answer) for port, args, answer in record.get("calls", [])]
 
         def answer(pid: int, port: str, args: tuple[Value, ...]) -> Value:
@@ -302,13 +311,13 @@ class Replay:
             for k, (name, asked, found) in enumerate(calls):
                 if name == port and asked == given:
                     if any((n, a) == (port, asked) for n, a, _ in calls[k + 1 :]):
-                        # another recorded call has the same arguments, perhaps with another answer, so use this one
-                        # only once
+                        # Another recorded call has the same arguments and perhaps another answer. So each answer is
+                        # used only once.
                         del calls[k]
                     return from_trace(found, self._types[port])
             raise LookupError(f"no recorded call of {port} has these arguments")
 
         return World(self.externs, answer)
 
-    def _values(self, told: Mapping[str, Any]) -> dict[str, Value]:
-        return {name: from_trace(value, self._types[name]) for name, value in told.items()}
+    def _values(self, recorded: Mapping[str, Any]) -> dict[str, Value]:
+        return {name: from_trace(value, self._types[name]) for name, value in recorded.items()}

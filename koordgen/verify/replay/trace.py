@@ -1,6 +1,6 @@
 """Reader of traces for the replay: a robot's own trace, or the merged trace of a run.
 
-A robot's own trace may have several parts (koordgen/runtime/trace/parts.py). They are read as one trace.
+A robot's own trace may have several parts (koordgen/runtime/trace/parts.py). The reader joins the parts to one trace.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from koordgen.runtime.trace.parts import base_of, numbered
 from koordgen.runtime.trace.schema import MOST_ROBOTS, NO_HEADER, BadTrace, Upgrade, format_of
 from koordgen.verify.replay.record import MOST_JUMP, Unsound, sound
 
-LONGEST = 8 << 20  # largest size of a header, in bytes
+LONGEST = 8 << 20  # largest size of a trace's header, in bytes
 KINDS = ("init", "round", "stream", "view", "checkpoint")
 
 
 class TraceLine(NamedTuple):
-    """One record with its line number, counted from 1.
+    """Record of a trace, with its line number, counted from 1.
 
-    In a trace of several parts, the count continues from one part to the next."""
+    In a trace of several parts, the count continues from one part to the next part."""
 
     number: int
     pid: int
@@ -32,14 +32,14 @@ class TraceLine(NamedTuple):
 
 @dataclass
 class TraceParts:
-    """One trace, which may have several parts.
+    """Trace in one or several parts.
 
     `path`: the last part.
-    `older`: the earlier parts, the oldest first.
-    `robots`: the robots' names by pid; empty for robots whose names the header does not contain.
+    `older`: the earlier parts, the oldest part first.
+    `robots`: the robots' names by pid. A robot whose name is not in the header has an empty name.
     `own`: whether the trace belongs to the robot `pid` alone.
-    `followed`: "run" or "step" if the run executed a counterexample; otherwise empty.
-    `cut`: the line within which a file ends; 0 if there is none.
+    `followed`: "run" or "step" if the traced run executed a counterexample; otherwise empty.
+    `cut`: the number of an incomplete line at the end of a part; 0 if every line is complete.
     `since`: the first round whose values are known; above 0 only if the oldest parts are missing."""
 
     path: Path
@@ -52,11 +52,11 @@ class TraceParts:
     followed: str = ""
     older: tuple[Path, ...] = ()
     since: int = 0
-    # for each part: the number of lines before it, and its file
+    # (number of lines before the part, file of the part) of each part
     begins: list[tuple[int, Path]] = field(default_factory=list)
 
     def place(self, number: int) -> str:
-        """Return the position of a line as "FILE:LINE", where LINE counts within its own part."""
+        """Return the position of a line as "FILE:LINE", where LINE counts within the line's part."""
         before, path = next((each for each in reversed(self.begins) if each[0] < number), (0, self.path))
         return f"{path}:{number - before}"
 
@@ -68,7 +68,7 @@ class TraceParts:
                 continue
             pid = self.pid if self.own else record.get("pid")
             if not isinstance(pid, int) or not 0 <= pid < len(self.robots):
-                raise BadTrace(f"{self.place(number)}: no robot {pid!r}")
+                raise BadTrace(f"{self.place(number)}: the fleet has no robot with pid {pid!r}")
             try:
                 record = sound(record, data)
             except Unsound as flaw:
@@ -76,14 +76,16 @@ class TraceParts:
             if record["kind"] == "checkpoint" and not last:
                 self.since = self.since or record["round"] + 1
             if record["kind"] == "round" and record["round"] > last.get(pid, record["round"]) + MOST_JUMP:
-                raise BadTrace(f"{self.place(number)}: round {record['round']} after round {last[pid]}")
+                raise BadTrace(
+                    f"{self.place(number)}: round {record['round']} after round {last[pid]}: rounds are missing"
+                )
             if record["kind"] in ("init", "round"):
                 last[pid] = record.get("round", 0)
             yield TraceLine(number, pid, record)
 
 
 def open_trace(path: Path) -> TraceParts:
-    """Open the trace at `path`, with the parts before it. Raises BadTrace."""
+    """Open the trace at `path`, together with the earlier parts of the same trace. Raises BadTrace."""
     *older, path = parts_of(path)
     blank = TraceParts(path, "", "", (), False, 0)
     number, header, line = next(records(blank), (0, {}, b""))
@@ -103,7 +105,7 @@ def open_trace(path: Path) -> TraceParts:
             return TraceParts(path, app, program_hash, names, False, 0, followed=followed)
         n, pid = int(header["n_sys"]), int(header["pid"])
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
-            raise ValueError(f"pid {pid} of {n} robots")
+            raise ValueError(f"pid {pid} in a fleet of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
         return TraceParts(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -114,7 +116,7 @@ def parts_of(path: Path) -> list[Path]:
     """Return the parts of a robot's trace up to the part at `path`, oldest first. Raises BadTrace.
 
     A part without a header belongs to a robot that was killed while it started. If `path` is such a part, or does not
-    exist, the newest part before it is used instead. If `path` is not a part of a robot's trace, only `path` itself is
+    exist, the newest earlier part replaces it. If `path` is not a part of a robot's trace, only `path` itself is
     returned."""
     try:
         base, number = base_of(path)
@@ -136,7 +138,7 @@ def parts_of(path: Path) -> list[Path]:
 def header_of(path: Path) -> dict[str, Any] | None:
     """Return the header of a trace, in the present format; None if the file has no header.
 
-    Raises OSError, and BadTrace if this version of koordgen cannot read the format."""
+    Raises OSError. Raises BadTrace if this version of koordgen cannot read the trace's format."""
     with path.open("rb") as file:
         line = file.readline(LONGEST)
     try:
@@ -151,7 +153,7 @@ def header_of(path: Path) -> dict[str, Any] | None:
 
 
 def _is_unwritten(path: Path) -> bool:
-    """Return whether the first line of a part is missing or incomplete."""
+    """Return whether the first line of a trace part is missing or incomplete."""
     if not path.exists():
         return True
     with path.open("rb") as file:
@@ -159,7 +161,7 @@ def _is_unwritten(path: Path) -> bool:
 
 
 def records(trace: TraceParts) -> Iterator[tuple[int, dict[str, Any], bytes]]:
-    """Yield each record of a trace: the number of its line, the record in the present format, the line.
+    """Yield (line number, record in the present format, text of the line) for each record of a trace.
 
     Raises BadTrace."""
     trace.begins, number = [], 0
@@ -182,7 +184,7 @@ def records(trace: TraceParts) -> Iterator[tuple[int, dict[str, Any], bytes]]:
                         trace.cut = number
                         break
                     if not isinstance(record, dict):
-                        raise BadTrace(f"{trace.place(number)}: no record")
+                        raise BadTrace(f"{trace.place(number)}: the line contains no record")
                     yield number, record, line
         except OSError as error:
             raise BadTrace(f"{path}: {error.strerror or error}") from None

@@ -34,13 +34,13 @@ class BadValue(Exception):
     """Raised if a value in a trace does not have its variable's type."""
 
 
-Number = Callable[[Any], float]  # converts data to a float; raises ValueError or TypeError
+Number = Callable[[Any], float]  # converts JSON data to a float; raises ValueError or TypeError
 
 
 def from_trace(data: Any, type_: Type, number: Number = float) -> Value:
     """Convert a value from a trace. The function `number` reads floats. Raises BadValue.
 
-    Null in a trace stands for any number that is not finite. It becomes NaN."""
+    Null in a trace denotes any number that is not finite. Null becomes NaN."""
     try:
         return _from_trace(data, type_, number)
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError):
@@ -99,7 +99,7 @@ def _point(data: Any, number: Number) -> Point:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value of the semantics to its form in a trace."""
+    """Convert a value of the semantics to its JSON form in a trace."""
     match value:
         case float():
             return value if math.isfinite(value) else None

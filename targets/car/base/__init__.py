@@ -1,4 +1,4 @@
-"""Base of the car target: what all of its other rooms use.
+"""Base of the car target: definitions that all its other packages use.
 
 Owns: the kinematic bicycle model, the car's settings.
 Offers: `bicycle`, `settings.CarSettings`.

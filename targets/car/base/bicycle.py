@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class BicycleState:
     """State of the bicycle model, in local ENU."""
 
     x: float  # m
@@ -26,8 +26,8 @@ class State:
         return all(map(math.isfinite, (self.x, self.y, self.yaw, self.speed, self.steering)))
 
 
-def advance(state: State, seconds: float, wheelbase: float) -> State:
-    """Return the state after driving for `seconds` with constant speed and steering: exactly, along a circular arc."""
+def advance(state: BicycleState, seconds: float, wheelbase: float) -> BicycleState:
+    """Return the exact state after driving for `seconds` with constant speed and steering, along a circular arc."""
     travel = state.speed * seconds
     turn = travel * math.tan(state.steering) / wheelbase
     # The chord of an arc of length `travel` is travel * sin(half) / half; on a straight line, half is 0, the ratio 1.
@@ -48,5 +48,5 @@ def turning_radius(steering: float, wheelbase: float) -> float:
 
 
 def wrap(angle: float) -> float:
-    """Return the same angle within -pi to pi."""
+    """Return an angle (rad), shifted by full turns into -pi to pi."""
     return math.remainder(angle, 2 * math.pi)

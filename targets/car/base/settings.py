@@ -11,7 +11,7 @@ import msgspec
 from koordgen.runtime.vehicle.platform import Unready
 from targets.car.base.bicycle import turning_radius
 
-# Share of the steering limit that planned paths use. The controller needs the rest to correct errors on a curve.
+# Share of the steering limit that planned paths use. The controller needs the remaining share to correct errors.
 PLANNED_STEERING = 0.9
 FROM_DRIVE = "rover"  # value of the setting `position`: the position is the estimate of the rover's own EKF
 
@@ -69,7 +69,7 @@ class CarSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def decode(body: Mapping[str, Any]) -> CarSettings:
-    """Return the settings of one car. Raises Unready, which names the wrong setting."""
+    """Return the settings of one car, checked. Raises Unready that names the wrong setting."""
     try:
         settings = msgspec.convert(dict(body), CarSettings)
     except msgspec.ValidationError as error:

@@ -12,11 +12,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from koordgen.runtime.config.settings import Box
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.control.mpc import STEP, Command
 
 LAG = 0.1  # seconds until the motor follows a brake command
-REACTION = STEP + LAG  # seconds until the car brakes: the next check is one control step later
+REACTION = STEP + LAG  # seconds until the car brakes, because the next check is one control step later
 _PIECE = 0.02  # metres between two checked places of the braking path
 
 
@@ -26,21 +26,21 @@ def beyond(fence: Box, x: float, y: float) -> float:
     return max(west - x, x - east, south - y, y - north)
 
 
-def stops_inside(fence: Box, state: State, command: Command, deceleration: float, wheelbase: float) -> bool:
+def stops_inside(fence: Box, state: BicycleState, command: Command, deceleration: float, wheelbase: float) -> bool:
     """Return whether the car, after this command, can still brake before it leaves the geofence.
 
-    `state.speed` is measured. A car that is outside already may drive if that takes it no farther out. Return False for
-    a state or command that is not finite."""
+    `state.speed` is measured. A car that is already outside may drive if the command takes it no farther out. Return
+    False for a state or command that is not finite."""
     if not state.finite() or not replace(state, speed=command.speed, steering=command.steering).finite():
         return False
     now = beyond(fence, state.x, state.y)
     if now + max(_way(speed, deceleration) for speed in (state.speed, command.speed)) <= 0.0:
-        return True  # the geofence's edge is farther away than the stopping distance
+        return True  # the distance to the geofence's edge is longer than the stopping distance
     poses = braked(state, command, deceleration, wheelbase)
     return all(beyond(fence, pose.x, pose.y) <= max(0.0, now) for pose in poses)
 
 
-def braked(state: State, command: Command, deceleration: float, wheelbase: float) -> Iterator[State]:
+def braked(state: BicycleState, command: Command, deceleration: float, wheelbase: float) -> Iterator[BicycleState]:
     """Yield the poses of the braking path, 2 or 3 cm apart, until the car stands.
 
     `state.speed` is measured. All numbers must be finite."""

@@ -1,4 +1,4 @@
-"""Estimator of the motor's lag: by how many seconds the measured speed follows the commanded speed.
+"""Estimator of the motor's lag: the time (s) by which the measured speed follows the commanded speed.
 
 A motor with a first-order lag obeys lag * dv/dt = asked - v, where v is the speed and `asked` the commanded speed.
 Integrated over a window, lag * (change of v) is the integral of (asked - v). The estimate is the least-squares solution
@@ -8,11 +8,12 @@ over the last windows in which the speed changed.
 from __future__ import annotations
 
 LONGEST_LAG = 0.5  # seconds; longest lag for which a rover's speed loop and the path controller are designed
-LATE = 0.25  # seconds by which the estimate may exceed the true lag, because the measured speed is delayed, too
-WINDOW = 0.5  # seconds of a window
-GAP = 0.2  # maximum seconds between two samples of a window
+LATE = 0.25  # seconds by which the estimate may exceed the true lag, because the measured speed itself arrives late
+WINDOW = 0.5  # length of a window, in seconds
+GAP = 0.2  # maximum time between two samples of a window, in seconds
 CHANGE = 0.06  # m/s; windows with a smaller change of speed are ignored, because they show noise
 KEPT = 0.95  # factor by which each new window reduces the weight of the older ones
+
 # The estimate is valid if the weighted sum of squared changes of speed is at least ENOUGH, (m/s)^2, from FEWEST windows
 # or more.
 ENOUGH, FEWEST = 0.05, 4
@@ -24,11 +25,11 @@ class Lag:
     Speeds in m/s, signed; times in seconds."""
 
     def __init__(self) -> None:
-        self._begin: tuple[float, float] | None = None  # time and speed at the window's begin
-        self._last = (0.0, 0.0)  # time and asked - measured of the last sample
-        self._error = 0.0  # integral of asked - measured over the window, m
+        self._begin: tuple[float, float] | None = None  # time (s) and speed (m/s) at the start of the window
+        self._last = (0.0, 0.0)  # last sample: time (s), commanded minus measured speed (m/s)
+        self._error = 0.0  # integral of commanded minus measured speed over the window, m
         self._products = self._squares = 0.0
-        self._count = 0  # windows in which the speed changed
+        self._count = 0  # number of windows in which the speed changed enough
 
     @property
     def seconds(self) -> float | None:

@@ -1,10 +1,11 @@
 """Model-predictive control of the kinematic bicycle: a small optimisation problem, solved at every control step.
 
 The horizon is 20 steps of 50 ms. Module `solver.problem` defines the problem; this module chooses the solver. Speed and
-steering of the initial state are those last commanded, not measured, because drive and servo follow setpoints.
+steering of the initial state are the last commanded values, not measured ones, because drive and servo follow
+setpoints.
 
-The commands are computed from the solver's inputs by integration within the limits. So whatever a solver answers, each
-command is reachable from the one before.
+This module integrates the solver's inputs within the limits to get the commands. So whatever inputs a solver returns,
+each command is reachable from the previous command.
 """
 
 from __future__ import annotations
@@ -16,13 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from koordgen.runtime.native.loader import NotCompiled
-from targets.car.base.bicycle import State
+from targets.car.base.bicycle import BicycleState
 from targets.car.control.solver import compiled
 from targets.car.control.solver.fallback import CasadiSolver
 from targets.car.control.solver.model import INPUTS, STEP, STEPS
-from targets.car.control.solver.problem import Limits, Solver
+from targets.car.control.solver.problem import ControlLimits, Solver
 
-__all__ = ["BLIND_STEPS", "STEP", "STEPS", "Command", "Limits", "Mpc"]
+__all__ = ["BLIND_STEPS", "STEP", "STEPS", "Command", "ControlLimits", "Mpc"]
 
 BLIND_STEPS = 5  # control steps without a new plan for which the last plan is used; after that, the car brakes
 LATE = STEP  # seconds; a plan that took longer to compute is discarded, because its initial state is outdated
@@ -38,10 +39,10 @@ class Command:
     steering: float
 
 
-def choose(limits: Limits, cache: Path | None = None) -> tuple[Solver, str]:
-    """Return the compiled C solver and "", or else the CasADi solver and a log line that gives the reason.
+def choose(limits: ControlLimits, cache: Path | None = None) -> tuple[Solver, str]:
+    """Return the C solver and ""; if it cannot be compiled, the CasADi solver and a log line with the reason.
 
-    At the first start on a robot, this compiles the solver for some seconds."""
+    At the first start on a robot, this compiles the solver, which takes some seconds."""
     try:
         return compiled.load(limits, cache), ""
     except NotCompiled as error:
@@ -52,13 +53,13 @@ class Mpc:
     """Model-predictive controller of one car.
 
     `failures`: number of successive control steps without a usable plan.
-    `trouble`: reason why the last step had none; "" if it had.
-    `note`: reason why the slower solver is used; "" if the C solver is.
+    `trouble`: reason why the last step had no usable plan; "" if it had one.
+    `note`: reason why the slower CasADi solver is used; "" if the C solver is used.
     `solver`, `clock`: replaced in tests; the clock (s) measures the solver's run time.
     """
 
     def __init__(
-        self, limits: Limits, solver: Solver | None = None, clock: Callable[[], float] = time.perf_counter
+        self, limits: ControlLimits, solver: Solver | None = None, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         self._limits = limits
         self._solve, self.note = (solver, "") if solver is not None else choose(limits)
@@ -71,7 +72,7 @@ class Mpc:
 
     def warm_up(self) -> None:
         """Solve once in advance, because the first solve allocates, and would be too slow for a control step."""
-        self.follow(State(0.0, 0.0, 0.0), [State(0.0, 0.0, 0.0)] * STEPS)
+        self.follow(BicycleState(0.0, 0.0, 0.0), [BicycleState(0.0, 0.0, 0.0)] * STEPS)
         self.reset()
 
     def reset(self) -> None:
@@ -81,13 +82,14 @@ class Mpc:
         self._last = Command(0.0, self._last.steering)
         self.failures = 0
 
-    def follow(self, state: State, reference: Sequence[State]) -> Command:
+    def follow(self, state: BicycleState, reference: Sequence[BicycleState]) -> Command:
         """Return the command of the next control step.
 
-        `state`: its speed and steering are those last commanded.
-        `reference`: states wished for after 1 to 20 steps; their yaw is continuous with the car's.
+        `state`: pose of the car, with the speed and steering commanded last.
+        `reference`: desired states after 1 to 20 steps; their yaw is continuous with the car's yaw.
 
-        Without a new plan in time, the last plan, shifted, is used for BLIND_STEPS steps; then the car brakes.
+        If there is no new plan in time, the last plan is shifted and used for up to BLIND_STEPS steps; after that, the
+        car brakes.
         """
         before = self._last
         if math.isfinite(state.speed) and math.isfinite(state.steering):
@@ -108,8 +110,10 @@ class Mpc:
         self._last = self._within_reach(before, self._plan[0] if self._plan else Command(0.0, before.steering))
         return self._last
 
-    def _attempt(self, state: State, before: Command, reference: Sequence[State]) -> tuple[list[float] | None, str]:
-        """Return the inputs of a new plan, or why there is none."""
+    def _attempt(
+        self, state: BicycleState, before: Command, reference: Sequence[BicycleState]
+    ) -> tuple[list[float] | None, str]:
+        """Return the inputs of a new plan and "", or None and the reason why there is no plan, in words."""
         if not state.finite():
             return None, "the car's state is not finite"
         if len(reference) != STEPS or not all(r.finite() for r in reference):
@@ -122,7 +126,7 @@ class Mpc:
         return inputs, ""
 
     def _commands(self, before: Command, inputs: list[float]) -> list[Command]:
-        """Return the commands that result from the inputs; each is reachable from the previous one."""
+        """Return the commands that result from the inputs; each command is reachable from the previous command."""
         plan = []
         for k in range(STEPS):
             wished = Command(before.speed + STEP * inputs[2 * k], before.steering + STEP * inputs[2 * k + 1])
@@ -131,7 +135,7 @@ class Mpc:
         return plan
 
     def _within_reach(self, before: Command, wished: Command) -> Command:
-        """Return the command nearest to the desired one that the limits allow after `before`."""
+        """Return the command nearest to `wished` that the limits allow after the command `before`."""
         limits = self._limits
         faster, further = limits.acceleration * STEP, limits.steering_rate * STEP
         return Command(

@@ -10,45 +10,49 @@ import math
 import time
 from collections.abc import Callable
 
-from targets.car.base.bicycle import State
+from targets.car.base.bicycle import BicycleState
 from targets.car.base.settings import CarSettings
-from targets.car.control.mpc import BLIND_STEPS, STEP, Command, Limits, Mpc
+from targets.car.control.mpc import BLIND_STEPS, STEP, Command, ControlLimits, Mpc
 from targets.car.control.tracker import BRAKING, LATERAL, Tracker
 from targets.car.planning.approach import Approach
-from targets.car.planning.avoidance import Avoidance
+from targets.car.planning.avoidance import CarAvoidance
 from targets.car.planning.curves import Curve
 from targets.car.planning.planner import SLIVER, Area, arc, segments
 from targets.car.planning.reasons import NoWay
 
 STANDING = 0.05  # m/s; a car that is not faster counts as standing
-# A new path is requested if the target has moved by more than MOVED (m) + MOVED_SHARE * (the car's distance to it).
+
+# A new path is requested if the target has moved by more than MOVED (m) + MOVED_SHARE * (distance of car and target).
 MOVED, MOVED_SHARE = 0.02, 0.05
-# A path with changes of gear is driven to its end, if the target has moved by no more than this share of the car's
-# distance to it. If it were replanned each time the target moves, the car might never come to its changes of gear.
+# A path with changes of gear is driven to its end if the target has moved by at most this share of the distance
+# between car and target. If each move of the target led to a new path, the car might never reach a change of gear.
 COMMIT = 0.4
-ARC_REACH = 0.5  # m; for a target within this distance, a single arc is tried before the planner is asked
-# Distance of a single arc's end from the target that is accepted, in units of the reached radius: for a standing car,
-# and for a car on the last segment of its path.
+ARC_REACH = 0.5  # m; to a target within this distance, the car first tries a single arc without the planner
+
+# Maximum distance of a single arc's end from the target, in units of the reached radius. STANDING_BY: for a standing
+# car; FOLLOWING: for a car on the last segment of its path.
 STANDING_BY, FOLLOWING = 0.4, 1.5
-LOOKAHEAD = 0.4  # m; look-ahead distance of pure pursuit towards a moving target: with a shorter one, the car sways
-TRAIL = 0.3  # m of a moving target's travelled path from which its direction is estimated
+LOOKAHEAD = 0.4  # m; look-ahead distance of pure pursuit towards a moving target; with a shorter one, the car sways
+TRAIL = 0.3  # m; length of a moving target's travelled path from which the target's direction is estimated
 STRAYED = 0.08  # m; with a larger lateral error, the car stops if an obstacle is near, and does not return to its path
 OFF_PATH = 0.25  # m; with a larger lateral error, a new path is requested
-BEHIND = 0.5  # m that a driving car may be away from the start of a planned path when the planner's answer arrives
+BEHIND = 0.5  # m; maximum distance of a driving car from the start of a planned path when the path arrives
 RETRY = 1.0  # seconds between a failed planning request and the next one
+
 # In units of the reached radius: a car that has arrived stays within STAY of the target and drives on beyond LEAVE.
 STAY, LEAVE = 0.9, 1.5
-SETTLE = 1.0  # seconds at a distance between these two after which the car drives on, too
+SETTLE = 1.0  # seconds at a distance between STAY and LEAVE after which the car drives on
 STUCK = 2.0  # seconds without motion after which `progress` reports that a driving car does not move
+
 # Other robots' paths are checked over the stopping distance, plus the distance driven in REACTION (seconds) at maximum
 # speed, plus CAUTION (m).
 REACTION, CAUTION = 0.3, 0.3
-LAG = 0.15  # seconds by which the measured speed follows the commanded one
+LAG = 0.15  # seconds by which the measured speed lags behind the commanded speed
 SLIP = 0.5  # m/s; maximum difference of commanded and measured speed, so that a blocked car's command cannot wind up
 
 
 class Trail:
-    """Recent path of a moving target."""
+    """Recently travelled path of a moving target."""
 
     def __init__(self) -> None:
         self._places: list[tuple[float, float]] = []
@@ -78,10 +82,10 @@ class Navigator:
     """Navigator of one car. Positions are those of the middle of the rear axle, metres, local ENU."""
 
     def __init__(
-        self, settings: CarSettings, area: Area, avoidance: Avoidance, clock: Callable[[], float] = time.perf_counter
+        self, settings: CarSettings, area: Area, avoidance: CarAvoidance, clock: Callable[[], float] = time.perf_counter
     ) -> None:
         """Targets are clamped into `area`. `clock` measures the solver's run time."""
-        limits = Limits(
+        limits = ControlLimits(
             settings.wheelbase,
             settings.max_speed,
             settings.max_acceleration,
@@ -97,7 +101,7 @@ class Navigator:
         self._target: tuple[float, float] | None = None
         self._asked_for: tuple[float, float] | None = None
         self._planned_for: tuple[float, float] | None = None
-        self._considered: tuple[float, float] | None = None  # last target for which the present path was accepted
+        self._considered: tuple[float, float] | None = None  # last target for which the present path was kept
         self._failed_for: tuple[float, float] | None = None
         self._arrival: float | None = None  # heading at the end of the present path
         self._retry_at = 0.0
@@ -109,7 +113,7 @@ class Navigator:
         self._no_way = NoWay()
         self._crossed = False  # whether another robot's path has crossed the present path
         self._approach = Approach(_cornering(limits, settings.planned_radius), settings.reached_radius)
-        self._stirred = 0.0  # last time at which the car moved, or had no reason to
+        self._stirred = 0.0  # last time (s) at which the car moved, or had no reason to move
         self._trail = Trail()
         self._curve: Curve | None = None  # the present path
         self.waits = False  # whether the car waits because another robot's path crosses its own
@@ -128,16 +132,16 @@ class Navigator:
 
     @property
     def gear(self) -> int:
-        """Direction of the path segment being driven: 1 forward, -1 reverse, 0 if none is."""
+        """Direction of the path segment being driven: 1 forward, -1 reverse, 0 without a path."""
         return self._tracker.gear
 
     @property
     def stall(self) -> str:
-        """Reason why there is no path to the target now, else "": see koordgen.runtime.vehicle.platform."""
+        """Reason why the car has no path to its target, in words; "" if it has one. Implements `Platform.stall`."""
         return "" if self._arrived or self.reached else self._no_way.why
 
     def go_to(self, target: tuple[float, float]) -> None:
-        """Set the target, clamped into the area, whose margin to the geofence is smaller than the reached radius."""
+        """Set the target, clamped into the car's area. The area's margin is smaller than the reached radius."""
         area = self._area
         self._target = (max(area.west, min(area.east, target[0])), max(area.south, min(area.north, target[1])))
         self._trail.add(self._target)
@@ -146,26 +150,26 @@ class Navigator:
             self.reached = False
             self._near_since = None
 
-    def follow(self, curve: Curve, state: State) -> None:
+    def follow(self, curve: Curve, state: BicycleState) -> None:
         """Follow a planned path to its end, which becomes the target.
 
-        A car that rolls against the first gear of the path stops first, and then requests a path from there."""
+        A car that rolls against the first gear of the path stops first, and then requests a path from its place."""
         self.go_to(curve.end[:2])
         self._asked_for = None
         if _rolls_against(state, curve):
             self._tracker.stop()
         elif self._target is not None:
-            self._take(curve, self._target)
+            self._adopt(curve, self._target)
 
-    def _take(self, curve: Curve, target: tuple[float, float]) -> None:
+    def _adopt(self, curve: Curve, target: tuple[float, float]) -> None:
         self._curve = curve
         self._planned_for = self._considered = target
         self._failed_for, self._arrived = None, False
         self._arrival = curve.end[2]
         way = segments(curve)
-        self._approach.take(curve.length, len(way), self._crossed)
+        self._approach.record_path(curve.length, len(way), self._crossed)
         self._crossed = False
-        self._tracker.take(way)
+        self._tracker.set_path(way)
 
     def pause(self) -> None:
         """Drop the path but keep the target, because the caller brakes the car."""
@@ -173,7 +177,7 @@ class Navigator:
         self._planned_for = None
         self._last = Command(0.0, self._last.steering)
 
-    def watch(self, state: State, standing: bool, now: float) -> None:
+    def watch(self, state: BicycleState, standing: bool, now: float) -> None:
         """Update `reached`.
 
         The target is reached once the car has stood within the radius for the dwell time. It then stays reached until a
@@ -188,7 +192,7 @@ class Navigator:
             self._near_since, self._near_target = now, self._target
         self.reached = now - self._near_since >= self._settings.reached_dwell
 
-    def step(self, state: State, standing: bool, now: float) -> Command | None:
+    def step(self, state: BicycleState, standing: bool, now: float) -> Command | None:
         """Return the command for the next control step, or None to brake. `state.speed` is measured."""
         self.watch(state, standing, now)
         command = self._drive(state, standing, now)
@@ -202,7 +206,7 @@ class Navigator:
             self.progress = f"driving, but the car has not moved for {now - self._stirred:.0f} s"
         return command
 
-    def _drive(self, state: State, standing: bool, now: float) -> Command | None:
+    def _drive(self, state: BicycleState, standing: bool, now: float) -> Command | None:
         if self._target is None:
             return None
         away = math.dist((state.x, state.y), self._target)
@@ -210,8 +214,8 @@ class Navigator:
             self.progress = "standing at the target"
             return None
         if self._tracker.done and not standing:
-            self._approach.drive(STEP)  # braking counts, too: a slow stop could recur forever
-            return None  # at the end of a path, or after a pause, the car first stands
+            self._approach.drive(STEP)  # braking counts as driving, too: otherwise slow stops could recur forever
+            return None  # at the end of a path, or after a pause, the car must stand before it drives on
         if self._tracker.done and away <= self._settings.reached_radius:
             self._arrived = True
             return None
@@ -223,11 +227,11 @@ class Navigator:
             return None
         self.progress = f"driving, {away:.1f} m to go"
         speed = max(state.speed - SLIP, min(state.speed + SLIP, self._last.speed))
-        # Until the car has reached the commanded speed, it drives this much farther (m) than the model predicts.
+        # Because of LAG, the car drives `extra` metres farther than the model predicts, until it has the new speed.
         extra = LAG * (state.speed - speed)
         x, y = state.x + extra * math.cos(state.yaw), state.y + extra * math.sin(state.yaw)
         free = self._free(state, standing, now)
-        command = self._tracker.step(State(x, y, state.yaw, speed, self._last.steering), free)
+        command = self._tracker.step(BicycleState(x, y, state.yaw, speed, self._last.steering), free)
         if self._tracker.failures > BLIND_STEPS:
             self.progress = f"braking: {self._tracker.trouble}"
             self._no_way.blocked(self._target, f"the controller has no plan: {self._tracker.trouble}")
@@ -238,8 +242,8 @@ class Navigator:
                 self._no_way.found()
         return None if self._tracker.done else command
 
-    def _free(self, state: State, standing: bool, now: float) -> float:
-        """Return how many metres of the path ahead are free of other robots' paths; infinite if enough to stop are.
+    def _free(self, state: BicycleState, standing: bool, now: float) -> float:
+        """Return how many metres ahead are free of other robots' paths; infinite if they are enough to stop.
 
         A car that stands before another robot's path requests a new path around it every RETRY seconds."""
         self.waits = False
@@ -251,7 +255,7 @@ class Navigator:
         self.waits = free < math.inf
         if free < math.inf:
             self.progress = f"another robot's path crosses this one in {free:.1f} m"
-            self._stirred = now  # standing is expected here, so it must not be reported as stuck
+            self._stirred = now  # the car stands on purpose, so `progress` must not report it as stuck
             self._crossed = True
             if standing and self._target is not None:
                 self._no_way.blocked(self._target, self._avoidance.blocker)
@@ -277,7 +281,7 @@ class Navigator:
         self._arrived, self._away_since = False, None
         return False
 
-    def _plan(self, state: State, away: float, now: float) -> bool:
+    def _plan(self, state: BicycleState, away: float, now: float) -> bool:
         """Return whether there is a path to follow; request one if needed."""
         target = self._target
         if target is None:
@@ -296,10 +300,10 @@ class Navigator:
         if _same(self._failed_for, target, MOVED) and now < self._retry_at:
             return False
         if away <= ARC_REACH and (curve := self._near(state, target)) is not None:
-            self._take(curve, target)
+            self._adopt(curve, target)
             return True
         if away <= STANDING_BY * self._settings.reached_radius:
-            self.progress = "standing at the target"  # coming nearer would take a manoeuvre with changes of gear
+            self.progress = "standing at the target"  # to come nearer, the car would have to change gears
             return False
         if not self._avoidance.asking and self._avoidance.ask(state, target, self._gear(state), self._arrival):
             self._asked_for = target
@@ -310,10 +314,10 @@ class Navigator:
             self.progress = "standing until a path is planned"
         return False
 
-    def _gear(self, state: State) -> int:
+    def _gear(self, state: BicycleState) -> int:
         return self._tracker.gear or (0 if abs(state.speed) <= STANDING else int(math.copysign(1, state.speed)))
 
-    def _near(self, state: State, target: tuple[float, float]) -> Curve | None:
+    def _near(self, state: BicycleState, target: tuple[float, float]) -> Curve | None:
         """Return a clear single arc to a near target; None if there is none.
 
         On the last segment towards a moving target, the arc may end beside the target (FOLLOWING): a manoeuvre would be
@@ -328,7 +332,7 @@ class Navigator:
             return None
         return curve if self._avoidance.clear(start, target, curve) else None
 
-    def _answered(self, state: State, away: float, now: float) -> None:
+    def _answered(self, state: BicycleState, away: float, now: float) -> None:
         """Follow the planned path if the planner has answered; report the reason if it found none."""
         answer, target = self._avoidance.answer(), self._asked_for
         if answer is None or target is None:
@@ -354,16 +358,16 @@ class Navigator:
         if _rolls_against(state, curve):
             self._tracker.stop()
             return
-        self._take(curve, target)
+        self._adopt(curve, target)
 
 
-def _rolls_against(state: State, curve: Curve) -> bool:
-    """Return whether the car rolls against the first gear of the curve. Such a car must stop before it can follow."""
+def _rolls_against(state: BicycleState, curve: Curve) -> bool:
+    """Return whether the car rolls against the first gear of the curve; if so, it must stop before it can follow."""
     first = next((way for _, way in curve.pieces if abs(way) > SLIVER), 0.0)
     return abs(state.speed) > STANDING and state.speed * first < 0
 
 
-def _cornering(limits: Limits, radius: float) -> float:
+def _cornering(limits: ControlLimits, radius: float) -> float:
     """Return the speed (m/s) that the limits allow in a curve of this radius (m)."""
     return min(limits.speed, math.sqrt(LATERAL * limits.acceleration * radius))
 

@@ -11,25 +11,25 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
-from targets.car.base.bicycle import State, wrap
-from targets.car.control.mpc import STEP, STEPS, Command, Limits, Mpc
+from targets.car.base.bicycle import BicycleState, wrap
+from targets.car.control.mpc import STEP, STEPS, Command, ControlLimits, Mpc
 from targets.car.planning.planner import Segment
 
 LATERAL = 0.6  # share of the acceleration limit that the profile uses for lateral acceleration in a curve
 BRAKING = 0.6  # share of the acceleration limit that the profile uses for braking; the rest is for correcting errors
 APPROACH = 3.0  # 1/s; before a stop, speed <= APPROACH * remaining distance, else a lagging drive overshoots
 SHORT = 0.05  # metres by which the car stops short of an obstruction, because motor and brake lag
-NEAR = 0.02  # metres: a segment is complete if the rest of it is shorter, and the car is slower than SLOW
+NEAR = 0.02  # metres: a segment is complete if less than this is left of it, and the car is slower than SLOW
 SLOW = 0.05  # m/s
-LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres behind and ahead of the last station in which the present one is searched for
+LOOK_BACK, LOOK_AHEAD = 0.2, 0.6  # metres behind and ahead of the last station: search range for the present station
 
 
-class Track:
-    """Path segment with its stations (arc lengths from its start, m) and its speed profile (m/s, unsigned).
+class TrackedPath:
+    """Path segment with a speed profile (m/s, unsigned) over its stations (arc lengths from the start, m).
 
-    `station`: the car's present station. `error`: its distance from the segment, m."""
+    `station`: the car's present station (m). `error`: the car's distance from the segment (m)."""
 
-    def __init__(self, segment: Segment, limits: Limits) -> None:
+    def __init__(self, segment: Segment, limits: ControlLimits) -> None:
         self.segment = segment
         self._limits = limits
         poses = segment.poses
@@ -53,8 +53,8 @@ class Track:
     def length(self) -> float:
         return self._stations[-1]
 
-    def locate(self, state: State) -> None:
-        """Update the car's station. It is searched for near the last one only, because a path may cross itself."""
+    def locate(self, state: BicycleState) -> None:
+        """Update the car's station. The search covers only places near the last station: a path may cross itself."""
         lo, hi = self.station - LOOK_BACK, self.station + LOOK_AHEAD
         best, self.error = self.station, math.inf
         poses = self.segment.poses
@@ -70,11 +70,11 @@ class Track:
                 best, self.error = begin + along * (end - begin), away
         self.station = best
 
-    def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[State]:
-        """Return the MPC's reference: the states wished for after 1 to 20 steps.
+    def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[BicycleState]:
+        """Return the MPC's reference: the desired states after 1 to 20 steps.
 
         The speed starts at `speed` (m/s, signed), grows as the limits allow, and falls so that the car stands before
-        `clear` metres from here (NaN counts as 0). Yaw is continuous with `yaw`, the car's own."""
+        `clear` metres from its present station (NaN counts as 0). Yaw is continuous with `yaw`, the car's yaw."""
         station, halt = self.station, min(self.length, self.station + max(0.0, clear - SHORT))
         direction = self.segment.direction
         pace = max(0.0, direction * speed)
@@ -91,11 +91,11 @@ class Track:
         i, share = self._place(station)
         return math.sqrt(self._squares[i] + share * (self._squares[i + 1] - self._squares[i]))
 
-    def _state(self, station: float, speed: float, yaw: float) -> State:
+    def _state(self, station: float, speed: float, yaw: float) -> BicycleState:
         i, share = self._place(station)
         a, b = self.segment.poses[i], self.segment.poses[i + 1]
         turned = a.yaw + share * (b.yaw - a.yaw)
-        return State(
+        return BicycleState(
             a.x + share * (b.x - a.x),
             a.y + share * (b.y - a.y),
             yaw + wrap(turned - yaw),
@@ -114,18 +114,18 @@ class Tracker:
 
     `done`: the last segment of the present path is complete. `error`: the car's distance from the path, m."""
 
-    def __init__(self, limits: Limits, mpc: Mpc) -> None:
+    def __init__(self, limits: ControlLimits, mpc: Mpc) -> None:
         self._limits = limits
         self._mpc = mpc
-        self._tracks: list[Track] = []
+        self._tracks: list[TrackedPath] = []
         self._driven = 0.0  # total length (m) of the completed segments
         self.done = True
 
-    def take(self, path: Sequence[Segment]) -> None:
-        """Follow this path from now on.
+    def set_path(self, path: Sequence[Segment]) -> None:
+        """Replace the path to be followed.
 
-        The MPC keeps its plan, because a path that is replanned while driving begins like the old one."""
-        self._tracks = [Track(segment, self._limits) for segment in path]
+        The MPC keeps its plan, because a path that is replanned while the car drives begins like the old path."""
+        self._tracks = [TrackedPath(segment, self._limits) for segment in path]
         self._driven = 0.0
         self.done = not self._tracks
 
@@ -161,15 +161,15 @@ class Tracker:
 
     @property
     def trouble(self) -> str:
-        """Reason why the MPC had no new plan in the last step, in words; "" if it had."""
+        """Reason why the MPC had no new plan in the last step, in words; "" if it had one."""
         return self._mpc.trouble
 
-    def step(self, state: State, clear: float = math.inf) -> Command:
-        """Return the command of the next control step. Only while not `done`.
+    def step(self, state: BicycleState, clear: float = math.inf) -> Command:
+        """Return the command of the next control step. The caller must not call it once `done`.
 
-        `state`: its speed and steering are those last commanded.
-        `clear`: metres of the path, ahead of the car's reference point, that are free. The car slows down so that it
-        stands before their end, and drives on when there are more."""
+        `state`: pose of the car, with the speed and steering commanded last.
+        `clear`: metres of the path ahead of the car's reference point that are free. The car slows down so that it
+        stands before the free stretch ends, and drives on when this stretch grows."""
         track = self._tracks[0]
         track.locate(state)
         if track.length - track.station < NEAR and abs(state.speed) < SLOW:

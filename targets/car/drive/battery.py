@@ -1,6 +1,6 @@
 """Low-battery check by the supply voltage, for lithium polymer batteries.
 
-The number of cells in series is not known, so it is estimated from the voltage."""
+The check estimates the number of cells in series from the voltage, because no setting gives it."""
 
 from __future__ import annotations
 

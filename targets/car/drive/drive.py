@@ -1,4 +1,4 @@
-"""Interface of a drive to the car's platform: takes speed and steering commands, reports measured speed and faults."""
+"""Interface of a drive: it receives commands of speed and steering, and reports measured speed and faults."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from targets.car.drive.vesc_drive import VescDrive
 
 
 class Drive(Protocol):
-    """Opened drive. Speeds in m/s, steering in radians, times in seconds on the agent's clock."""
+    """Interface of an opened drive. Speeds in m/s, steering in radians, times in seconds on the agent's clock."""
 
     @property
     def heard(self) -> bool:
-        """Return whether the drive has reported everything that must be known before the car moves."""
+        """Return whether the drive has sent all reports that the platform needs before the car moves."""
         ...
 
     @property
     def fault(self) -> str:
-        """Fault that the drive reports, in words; "" if it reports none."""
+        """Fault that the drive reports, in words; "" without a fault."""
         ...
 
     @property
     def blocked(self) -> str:
-        """Reason why the car must not be driven now, in words; "" if it may."""
+        """Reason why the car must not be driven now, in words; "" if it may be driven."""
         ...
 
     @property
@@ -39,12 +39,12 @@ class Drive(Protocol):
 
     @property
     def doubt(self) -> str:
-        """Warning of a pre-flight check, such as a low battery; "" if there is none."""
+        """Warning of a pre-flight check, such as a low battery; "" without a warning."""
         ...
 
     @property
     def asked(self) -> float:
-        """Speed (m/s) that was commanded to the motor last; for a rover, the speed that its throttle should give."""
+        """Last commanded speed (m/s) of the motor; for a rover, the speed that its throttle should give."""
         ...
 
     @property
@@ -55,12 +55,12 @@ class Drive(Protocol):
     def read(self, now: float) -> float | None:
         """Process received messages. Return a newly measured speed, or None.
 
-        Raises Unready if the drive has been unplugged or silent for too long. It may come back, so the caller should
-        keep calling this."""
+        Raises Unready if the drive has been unplugged or silent for too long. The caller should then call `read` again
+        and again, because the drive may answer again later."""
         ...
 
     def ask(self, now: float) -> None:
-        """Request the drive's reports, without moving anything."""
+        """Request the drive's reports, without a command that moves the car."""
         ...
 
     def checks(self, now: float) -> list[Finding] | None:
@@ -68,21 +68,21 @@ class Drive(Protocol):
         ...
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:
-        """Return the poses that the drive itself has estimated since the last call, and the time of each."""
+        """Return poses that the drive has estimated since the last call, each with its time."""
         ...
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
-        """Drive with this speed and steering until the next command. If that is late, the watchdog brakes.
+        """Drive with this speed and steering until the next command. If no command comes in time, the watchdog brakes.
 
-        `speed`: measured speed, for a drive without a speed control of its own; None if unknown."""
+        `speed`: measured speed, which a drive without speed control of its own needs; None if unknown."""
         ...
 
     def brake(self, now: float) -> None:
-        """Brake; at standstill, go neutral."""
+        """Brake the car; at standstill, command neutral."""
         ...
 
-    def news(self) -> list[str]:
-        """Return events since the last call, for the log."""
+    def log_lines(self) -> list[str]:
+        """Return messages about events since the last call, for the log."""
         ...
 
     def close(self, standing: bool) -> None:
@@ -91,7 +91,7 @@ class Drive(Protocol):
 
 
 def opened(settings: CarSettings, links: Links, frame: LocalFrame) -> Drive:
-    """Open the drive that the settings name; `frame` is the fleet's. Raises Unready with a hint."""
+    """Open the drive that the settings name. `frame`: the fleet's local frame. Raises Unready with a hint."""
     kind, _, place = settings.drive.partition(":")
     if kind == "vesc" and place:
         return VescDrive(place, settings, links)

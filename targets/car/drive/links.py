@@ -1,4 +1,4 @@
-"""Non-blocking links of the car: the drive's serial device, the position feed's UDP port, the watchdog's process."""
+"""Non-blocking links of the car to its serial device, MAVLink, position feed, lidar and watchdog."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from targets.car.base.settings import FROM_DRIVE
 from targets.car.drive.watched import Watch, WatchdogProcess
 
 if TYPE_CHECKING:
-    from targets.car.drive.rover import Route
+    from targets.car.drive.rover import ConsoleTransport
 
 BAUD = 115_200
 
@@ -43,7 +43,7 @@ class Links(Protocol):
 
     def serial(self, device: str) -> ByteLink: ...
 
-    def mavlink(self, url: str) -> Route: ...
+    def mavlink(self, url: str) -> ConsoleTransport: ...
 
     def position(self, setting: str) -> DatagramLink: ...
 
@@ -52,7 +52,7 @@ class Links(Protocol):
     def watchdog(self) -> Watch: ...
 
     def wait(self, seconds: float) -> None:
-        """Sleep. Used by `diagnose` only, since no other call may block."""
+        """Sleep. Only `diagnose` calls this, because no other call may block."""
         ...
 
     def remember(self, lag: float) -> None:
@@ -60,23 +60,23 @@ class Links(Protocol):
         ...
 
     def remembered(self) -> float | None:
-        """Return the last stored lag, of this run or an earlier one; None if there is none."""
+        """Return the lag (s) that `remember` stored last, in this or an earlier run; None if there is none."""
         ...
 
 
 class SerialLink:
-    """Serial device, opened with pyserial; it may be a pseudo-terminal."""
+    """Serial device (or pseudo-terminal) that is opened with pyserial."""
 
     def __init__(self, device: str) -> None:
         import serial
 
         self._device = device
-        self._gone: tuple[type[Exception], ...] = (OSError, TypeError, termios.error, serial.SerialException)
+        self._errors: tuple[type[Exception], ...] = (OSError, TypeError, termios.error, serial.SerialException)
         try:
             self._port = serial.Serial(device, BAUD, timeout=0, write_timeout=0, exclusive=True)
-        except (*self._gone, ValueError) as error:
+        except (*self._errors, ValueError) as error:
             number = getattr(error, "errno", None)
-            # EAGAIN from flock means that another process has locked the device; its own text would not say so.
+            # EAGAIN from flock means that another process has locked the device, which strerror would not explain.
             reason = "another program has it" if number == errno.EAGAIN else os.strerror(number) if number else error
             hint = "connect the motor controller, free its device, or correct `drive` in the robot's settings"
             raise Unready(f"cannot open the motor controller at {device}: {reason}", hint) from None
@@ -84,7 +84,7 @@ class SerialLink:
     def read(self) -> bytes:
         try:
             return bytes(self._port.read(4096))
-        except self._gone as error:
+        except self._errors as error:
             raise self._lost(error) from None
 
     def write(self, data: bytes) -> int:
@@ -93,7 +93,7 @@ class SerialLink:
             return os.write(self._port.fileno(), data)
         except BlockingIOError:
             return 0
-        except self._gone as error:
+        except self._errors as error:
             raise self._lost(error) from None
 
     def fileno(self) -> int:
@@ -103,7 +103,7 @@ class SerialLink:
         return Unready(f"the motor controller at {self._device} is gone: {error}", "check its cable and supply")
 
     def close(self) -> None:
-        with suppress(*self._gone):
+        with suppress(*self._errors):
             self._port.close()
 
 
@@ -118,7 +118,7 @@ class Nowhere:
 
 
 class RealLinks:
-    """Links to real devices. `notes`: file in which the motor's lag is stored; None: it is not stored."""
+    """Links to real devices. `notes`: file that stores the motor's lag; None: the lag is not stored."""
 
     def __init__(self, notes: Path | None = None) -> None:
         self._notes = notes
@@ -126,7 +126,7 @@ class RealLinks:
     def serial(self, device: str) -> ByteLink:
         return SerialLink(device)
 
-    def mavlink(self, url: str) -> Route:
+    def mavlink(self, url: str) -> ConsoleTransport:
         from targets.mavlink.transport import opened
 
         return opened(url)

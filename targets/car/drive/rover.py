@@ -1,7 +1,7 @@
 """Drive of a car with an ArduPilot rover: steering and throttle in MANUAL mode, by overriding two RC channels.
 
 The mode is MANUAL and not GUIDED, because only MANUAL sets the wheels to the angle that the agent's controller
-commands, also at standstill. The agent controls the speed itself.
+commands, also at standstill. The agent controls the speed by the throttle.
 
 The rover accepts overrides only from MAVLink system 255. An override holds for 3 s after the last message, so neutral
 is sent until the car stands.
@@ -32,21 +32,21 @@ from targets.mavlink.transport import Transport, Way
 
 MANUAL = 0  # custom_mode of MANUAL
 STARTING = 60.0  # seconds to wait for the first message: a rover may be switched on after the agent
-SILENT, LOST = 1.5, 5.0  # seconds without a message after which the car is braked, and after which it counts as lost
-RELEASE, LEAVE = 0, 65535  # override values: return the channel to the receiver; do not change the channel
+SILENT, LOST = 1.5, 5.0  # seconds without a message after which the car is braked, or the rover counts as lost
+RELEASE, LEAVE = 0, 65535  # values of an override: give the channel back to the receiver, leave it unchanged
 STAYS_ARMED = "a rover whose agent was killed stays armed: keep away from its wheels, and disarm it by a ground station"
 _RATES = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 20.0,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-}  # Hz
+}  # message id -> requested rate in Hz
 _VOUCHED = 2.0  # seconds for which an EKF status report counts as current
 _ARDUPILOT = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 _ROVERS = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 
 
-class Route(Transport, Protocol):
-    """Transport on which the watchdog's process can write, too."""
+class ConsoleTransport(Transport, Protocol):
+    """MAVLink transport on which the watchdog's process can write, too."""
 
     def way(self) -> Way | None: ...
 
@@ -54,28 +54,28 @@ class Route(Transport, Protocol):
 class RoverDrive:
     """Drive with an ArduPilot rover: implements `drive.Drive`. `frame`: the fleet's local frame."""
 
-    def __init__(self, settings: CarSettings, transport: Route, watch: Watch, frame: LocalFrame) -> None:
+    def __init__(self, settings: CarSettings, transport: ConsoleTransport, watch: Watch, frame: LocalFrame) -> None:
         self._settings, self._transport, self._watch, self._frame = settings, transport, watch, frame
         self._link = Link(transport)
         self._loop = SpeedLoop(settings.full_speed)
         self._held: Way | None = None
         self._mode: int | None = None
         self._armed = False
-        self._ours = self._was_armed = False  # whether the rover was seen in MANUAL, and armed in MANUAL
-        self._taken = ""  # reason, in words, why the rover is under another's control; "" if it is not
-        self.asked = 0.0  # see Drive
+        self._ours = self._was_armed = False  # whether the rover was seen in MANUAL; whether it was armed there
+        self._taken = ""  # reason why the rover is under another's control, in words; or ""
+        self.asked = 0.0  # speed (m/s) that the last throttle should give
         self._volts: float | None = None
-        self.battery: float | None = None  # see Drive
+        self.battery: float | None = None  # charge, 0 to 1; None: unknown
         self._version = ""
-        self._vouched = -math.inf  # time of the last EKF report, if that shows an absolute position
+        self._vouched = -math.inf  # time of the last EKF report, if it shows an absolute position; else -inf
         self._fixes: list[tuple[Pose, float]] = []
         self._asked: dict[int, float] = {}
         self._came: dict[int, float] = {}
         self._begun: float | None = None
         self._now = 0.0
-        self._news: list[str] = []
-        self._parameters: Parameters | None = None  # read for a pre-flight check only
-        self._receiver: bool | None = None  # whether the rover receives a remote control
+        self._log_lines: list[str] = []
+        self._parameters: Parameters | None = None  # the rover's parameters; they are read only for a pre-flight check
+        self._receiver: bool | None = None  # whether the rover receives signals of a remote control
         self._sticks_asked = -math.inf
 
     @property
@@ -124,21 +124,23 @@ class RoverDrive:
         return 0.0 if since is None else self._now - since
 
     def read(self, now: float) -> float | None:
-        """See Drive."""
+        """Implement `Drive.read`."""
         self._now = now
         self._begun = now if self._begun is None else self._begun
         self._watch.poll()
         speed = None
         for message in self._link.receive(now):
             self._came[message.get_msgId()] = now
-            speed = self._take(message, now) if message.get_msgId() in _RATES else speed
+            speed = self._receive(message, now) if message.get_msgId() in _RATES else speed
             self._note(message)
             if self._parameters is not None:
-                self._parameters.take(message)
+                self._parameters.handle(message)
         self._link.greet(now)
         vehicle = self._link.vehicle
         if vehicle is not None and not self._is_rover:
-            raise Unready(f"what answers on {self._settings.drive} is no ArduPilot rover", "correct `drive`")
+            raise Unready(
+                f"the vehicle that answers on {self._settings.drive} is not an ArduPilot rover", "correct `drive`"
+            )
         self._hand_over()
         if self._silence > (STARTING if vehicle is None else LOST):
             hint = "check its supply and cable; the rover drives on for 3 s after the last override, then goes neutral"
@@ -157,8 +159,8 @@ class RoverDrive:
                 number = message.flight_sw_version
                 self._version = f"{number >> 24}.{number >> 16 & 255}.{number >> 8 & 255}"
 
-    def _take(self, message: Message, now: float) -> float | None:
-        """Process a streamed message. Return the EKF's signed speed (m/s) if the message has it, else None."""
+    def _receive(self, message: Message, now: float) -> float | None:
+        """Process a streamed message. Return the EKF's signed speed (m/s), or None if the message has no speed."""
         match message.get_msgId():
             case mavlink.MAVLINK_MSG_ID_SYS_STATUS:
                 self._volts = 0.0 if message.voltage_battery == 65535 else message.voltage_battery / 1000
@@ -182,21 +184,21 @@ class RoverDrive:
         return vx * math.cos(yaw) + vy * math.sin(yaw)
 
     def checks(self, now: float) -> list[Finding] | None:
-        """See Drive: checks the parameters of `rover_parameters`, and that the rover is disarmed."""
+        """Check the parameters that `rover_parameters` lists, and that the rover is disarmed."""
         if self._parameters is None:
             asked = rover_parameters.rules(self._settings, receiver=False)
             self._parameters = Parameters(tuple(rule.wanted for rule in asked), bytewise=False)
         self._parameters.poll(self._link, now)
         if self._receiver is None and now - self._sticks_asked >= 1.0 and self._link.vehicle is not None:
             self._sticks_asked = now
-            self._link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
+            self._link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_RC_CHANNELS)
         if not self._parameters.done(now):
             return None
         armed = [Finding("state", "warn", "armed", "disarmed", STAYS_ARMED)] if self._armed else []
-        return [*armed, *rover_parameters.findings(self._settings, self._receiver, self._parameters.readings)]
+        return [*armed, *rover_parameters.checks(self._settings, self._receiver, self._parameters.readings)]
 
     def fixes(self) -> list[tuple[Pose, float]]:
-        """See Drive."""
+        """Implement `Drive.fixes`."""
         found, self._fixes = self._fixes, []
         return found
 
@@ -205,11 +207,11 @@ class RoverDrive:
         if self._taken or not self._ours:
             return
         if self._mode != MANUAL:
-            self._taken = f"braking: somebody has changed the rover to mode {self._mode}, and keeps it"
+            self._taken = f"braking: somebody has changed the rover to mode {self._mode}, and controls it"
         elif self._was_armed and not self._armed:
-            self._taken = "braking: the rover was disarmed by somebody or by itself, and is left so"
+            self._taken = "braking: somebody, or the rover itself, has disarmed the rover; it stays disarmed"
         if self._taken:
-            self._news.append(self._taken.removeprefix("braking: "))
+            self._log_lines.append(self._taken.removeprefix("braking: "))
             self._watch.release()
             self._held = None
 
@@ -234,21 +236,21 @@ class RoverDrive:
         )
 
     def ask(self, now: float) -> None:
-        """See Drive. The rover streams messages only on request."""
+        """Request missing messages, because the rover streams messages only on request."""
         if self._link.vehicle is None:
             return
         for number, rate in _RATES.items():
             missing = now - self._came.get(number, -math.inf) > 1.5
             if missing and now - self._asked.get(number, -math.inf) >= 1.0:
                 self._asked[number] = now
-                self._link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate)
+                self._link.send_once(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate)
         if not self._version:
             self._link.ask(now, mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
     def _prepare(self, now: float) -> None:
         """Switch the rover to MANUAL, then arm it once.
 
-        Only a heartbeat proves the mode: in the first second after boot, the rover acknowledges a mode and loses it."""
+        Only a heartbeat proves the mode: in the first second after boot, the rover acknowledges a mode but drops it."""
         if self._taken or not self.heard:
             return
         if not self._ours:
@@ -260,17 +262,18 @@ class RoverDrive:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
         elif not self._was_armed:
             self._was_armed = True
-            self._news.append("the rover is armed; it stays armed if this agent is killed")
+            self._log_lines.append("the rover is armed; it stays armed if this agent is killed")
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
-        """See Drive."""
-        steering = channel(-command.steering / self._settings.max_steering)  # negative: values above 1500 turn right
+        """Implement `Drive.go`."""
+        # Negated, because channel values above 1500 turn the wheels to the right.
+        steering = channel(-command.steering / self._settings.max_steering)
         throttle = self._loop.throttle(command.speed, speed, STEP)
         self.asked = throttle * self._settings.full_speed
         self._send(steering, channel(throttle), now)
 
     def brake(self, now: float) -> None:
-        """See Drive: commands neutral throttle and straight wheels."""
+        """Command neutral throttle and straight wheels."""
         self._loop.reset()
         self._send(NEUTRAL, NEUTRAL, now)
 
@@ -287,17 +290,17 @@ class RoverDrive:
         if self._link.unsent == unsent:
             self._watch.beat()
 
-    def news(self) -> list[str]:
-        """See Drive."""
-        told, self._news = self._news + self._watch.news(), []
+    def log_lines(self) -> list[str]:
+        """Implement `Drive.log_lines`."""
+        told, self._log_lines = self._log_lines + self._watch.log_lines(), []
         return told
 
     def close(self, standing: bool) -> None:
-        """See Drive. Disarms a standing rover that this agent armed, unless it is under another's control."""
+        """Close the links. First disarm a standing rover that this agent armed, unless somebody else controls it."""
         if self._was_armed and standing and not self._taken:
             self._link.send(self._override(NEUTRAL, NEUTRAL))
-            for _ in range(3):  # repeated, because after closing, the agent cannot see whether the command arrived
-                self._link.tell(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+            for _ in range(3):  # the command is repeated, because the agent cannot see after `close` whether it arrived
+                self._link.send_once(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             self._was_armed = False
         self._watch.close(standing)
         self._link.close()

@@ -1,7 +1,7 @@
 """Parameters of an ArduPilot rover that matter when it is driven in MANUAL mode by overrides of RC channels.
 
-WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers do not matter, because MANUAL does not
-use them.
+WP_SPEED, CRUISE_SPEED, TURN_RADIUS and the gains of the rover's own controllers do not matter, because the rover does
+not use them in MANUAL mode.
 
 Two mechanisms stop a rover if the agent's computer dies. With a receiver, the overrides end after RC_OVERRIDE_TIME, and
 the receiver controls the rover again. Without a receiver, the channels keep their values after the overrides end
@@ -31,12 +31,12 @@ class Rule:
     """Rule for one parameter of the rover."""
 
     name: str
-    right: Callable[[float], bool]  # whether a value is right
+    right: Callable[[float], bool]  # whether a value of the parameter is right
     expected: str  # the right values, in words
     why: str  # consequence of a wrong value
     vital: bool = False  # whether the check fails with a wrong value; otherwise it warns
-    older: tuple[str, ...] = ()  # names in older versions
-    optional: bool = False  # older versions lack the parameter and behave as required
+    older: tuple[str, ...] = ()  # names of the parameter in older versions of ArduPilot
+    optional: bool = False  # whether older versions lack the parameter but behave as required
 
     @property
     def wanted(self) -> Wanted:
@@ -57,33 +57,47 @@ class Rule:
 def rules(settings: CarSettings, receiver: bool | None) -> tuple[Rule, ...]:
     """Return the rules for a car with these settings.
 
-    `receiver`: whether the rover receives a remote control; None if unknown."""
+    `receiver`: whether the rover receives signals of a remote control; None if unknown."""
     return (
-        _one("MAV_GCS_SYSID", GROUND_STATION, "else the rover ignores the agent's overrides", True, ("SYSID_MYGCS",)),
+        _one(
+            "MAV_GCS_SYSID", GROUND_STATION, "with another value, the rover ignores the agent's overrides", True,
+            ("SYSID_MYGCS",),
+        ),
         Rule(
             "RC_OPTIONS", lambda v: not int(v) & IGNORE_OVERRIDES, f"a number without the bit {IGNORE_OVERRIDES}",
-            "with that bit the rover ignores overrides, and does not drive", vital=True,
+            "with this bit set, the rover ignores overrides and does not drive", vital=True,
         ),
-        _one("RCMAP_ROLL", STEERING, "else the agent's steering goes to another channel", True),
-        _one("RCMAP_THROTTLE", THROTTLE, "else the agent's throttle goes to another channel", True),
-        _one("FS_GCS_ENABLE", 1, "else a rover without a receiver drives on when the agent's computer dies", True),
+        _one("RCMAP_ROLL", STEERING, "with another value, the agent's steering goes to another channel", True),
+        _one("RCMAP_THROTTLE", THROTTLE, "with another value, the agent's throttle goes to another channel", True),
+        _one(
+            "FS_GCS_ENABLE", 1,
+            "with another value, a rover without a receiver drives on when the agent's computer dies", True,
+        ),
         _one("FS_ACTION", HOLD, "Hold stops the rover when the agent's computer dies", True),
         _within("FS_GCS_TIMEOUT", 1.0, 2.0, "seconds from the agent's last heartbeat to Hold", optional=True),
         _within("RC_OVERRIDE_TIME", 0.2, 1.0, "seconds for which the rover drives on with the agent's last command"),
         *_failsafe(receiver),
         *(rule for channel in (STEERING, THROTTLE) for rule in _channel(channel)),
         _slew_rate(settings),
-        _one("MANUAL_OPTIONS", 0, "else the wheels turn less at speed than the agent commands", optional=True),
-        _one("MANUAL_STR_EXPO", 0, "else the wheels do not turn as far as the agent commands", optional=True),
+        _one(
+            "MANUAL_OPTIONS", 0, "with another value, the wheels turn less at speed than the agent commands",
+            optional=True,
+        ),
+        _one(
+            "MANUAL_STR_EXPO", 0, "with another value, the wheels do not turn as far as the agent commands",
+            optional=True,
+        ),
         Rule(
             "PILOT_STEER_TYPE", lambda v: v in (0, 2), "0 or 2",
-            "else steering is mixed with the throttle, or inverted in reverse",
+            "with another value, steering is mixed with the throttle, or inverted in reverse",
         ),
     )  # fmt: skip
 
 
-def findings(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
-    """Return one result for each wrong parameter, the vital ones first; `readings` has an entry for every rule."""
+def checks(settings: CarSettings, receiver: bool | None, readings: tuple[Reading, ...]) -> list[Finding]:
+    """Return one check result for each wrong parameter, vital parameters first.
+
+    `readings`: the parameters that were read; a rule whose parameter is missing is left out."""
     by_name = {reading.wanted.name: reading for reading in readings}
     checked = [rule for rule in rules(settings, receiver) if rule.name in by_name]
     wrong = [found for rule in checked if (found := rule.judged(by_name[rule.name]))]
@@ -107,14 +121,29 @@ def _failsafe(receiver: bool | None) -> tuple[Rule, ...]:
     if receiver is None:
         return ()
     if receiver:
-        return (Rule("FS_THR_ENABLE", lambda v: v > 0, "1", "else nothing happens when the remote control is lost"),)
-    return (_one("FS_THR_ENABLE", 0, "else a rover without a receiver is in its failsafe until the agent sends"),)
+        return (
+            Rule(
+                "FS_THR_ENABLE",
+                lambda v: v > 0,
+                "1",
+                "with another value, nothing happens when the remote control is lost",
+            ),
+        )
+    return (
+        _one(
+            "FS_THR_ENABLE",
+            0,
+            "with another value, a rover without a receiver is in its failsafe until the agent sends",
+        ),
+    )
 
 
 def _channel(number: int) -> tuple[Rule, ...]:
-    why = "else the wheels and the motor do less or more than the agent commands"
+    why = "with another value, the wheels and the motor do less or more than the agent commands"
     ends = (("MIN", NEUTRAL - SPAN), ("TRIM", NEUTRAL), ("MAX", NEUTRAL + SPAN), ("DZ", DEAD_ZONE))
-    reversed_ = _one(f"RC{number}_REVERSED", 0, "else the rover turns or drives backwards: use SERVOn_REVERSED")
+    reversed_ = _one(
+        f"RC{number}_REVERSED", 0, "with another value, the rover turns or drives backwards: use SERVOn_REVERSED"
+    )
     return (*(_one(f"RC{number}_{end}", value, why) for end, value in ends), reversed_)
 
 
@@ -122,5 +151,5 @@ def _slew_rate(settings: CarSettings) -> Rule:
     least = math.ceil(100.0 * SLOWEST * settings.max_acceleration / settings.full_speed)
     return Rule(
         "MOT_SLEWRATE", lambda v: v == 0 or v >= least, f"0, or {least} or more",
-        "% of the throttle in a second: else the motor lags behind the agent's commands",
+        "% of the throttle in a second; with a lower value, the motor lags behind the agent's commands",
     )  # fmt: skip

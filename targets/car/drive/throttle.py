@@ -6,17 +6,17 @@ import math
 
 # Microseconds of an RC channel: its middle, half of its range, and the dead zone to either side of the middle.
 NEUTRAL, SPAN, DEAD_ZONE = 1500, 500, 30
-# Gains of the PI controller. They give a share of full throttle for (error in m/s) / (speed at full throttle), and for
-# the integral (s) of that. A car's speed follows its throttle with a lag of some tenths of a second. With these gains,
-# the loop does not overshoot for lags of up to lag.LONGEST_LAG.
+# Gains of the PI controller: shares of full throttle for the relative error, which is (error in m/s) / (speed at full
+# throttle), and for the integral (s) of the relative error. A car's speed follows its throttle with a lag of some
+# tenths of a second. With these gains, the loop does not overshoot for lags of up to lag.LONGEST_LAG.
 _PROPORTIONAL, _INTEGRAL = 0.5, 1.0
 _MOST = 0.3  # largest share of full throttle that the integral term may add
 
 
 class SpeedLoop:
-    """PI controller with feedforward that computes the throttle (-1 to 1) for a wanted speed.
+    """PI controller with feedforward: computes the throttle (-1 to 1) for a wanted speed.
 
-    `full`: speed at full throttle, m/s; the feedforward term is the wanted speed divided by it."""
+    `full`: speed at full throttle (m/s). The feedforward term is the wanted speed divided by `full`."""
 
     def __init__(self, full: float) -> None:
         self._full = full

@@ -14,8 +14,9 @@ STUCK = 1.0  # seconds for which the device may accept no bytes before it counts
 STARTING = 5.0  # seconds within which the controller must give its first answer
 SILENT = 2.0  # seconds without an answer, or without the device, after which the controller counts as lost
 REPLUG = 0.5  # seconds between two attempts to reopen the device
-# Oldest supported major version of the firmware. In older ones, the number of the servo command belongs to a command
-# that changes the configuration.
+
+# Oldest supported major version of the firmware. In older versions, the number of the servo command belongs to a
+# command that changes the configuration.
 OLDEST = 3
 _FAULTS = {
     1: "over-voltage",
@@ -24,11 +25,11 @@ _FAULTS = {
     4: "over-current",
     5: "its transistors are too hot",
     6: "the motor is too hot",
-}  # mc_fault_code, fmt: skip
+}  # names of the firmware's mc_fault_code, fmt: skip
 
 
 class VescDrive:
-    """Drive with a VESC: implements `drive.Drive`."""
+    """Drive with a VESC motor controller: implements `drive.Drive`."""
 
     battery = None  # a VESC measures its supply voltage, but reports no battery charge
 
@@ -38,16 +39,16 @@ class VescDrive:
         self._brake = vesc.encode(vesc.Brake(settings.brake_current))
         self._decoder = vesc.Decoder()
         self._unsent = b""
-        self.asked = 0.0  # see Drive
+        self.asked = 0.0  # last commanded speed, m/s
         self._values: vesc.Values | None = None  # last values received since the link was opened
         self._version: vesc.Version | None = None
         self._stuck_since: float | None = None
         self._unanswered_since: float | None = None
-        self._gone_since: float | None = None
-        self._gone = ""  # reason why the device is gone, in words
+        self._lost_since: float | None = None
+        self._loss = ""  # reason why the device is gone, in words
         self._retry = -math.inf
         self._ever = False  # whether the controller has ever answered
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
         self._link: ByteLink | None = self._opened()
 
     def _opened(self) -> ByteLink:
@@ -64,7 +65,7 @@ class VescDrive:
     @property
     def blocked(self) -> str:
         if self._link is None:
-            return f"braking: {self._gone}"
+            return f"braking: {self._loss}"
         if self._values is None or self._version is None:
             return f"waiting for the motor controller on {self._settings.drive}"
         return f"braking: the motor controller reports {self.fault}" if self.fault else self._watch.trouble
@@ -87,7 +88,7 @@ class VescDrive:
         return battery.doubt(self._values.voltage) if self._values is not None else ""
 
     def read(self, now: float) -> float | None:
-        """See Drive."""
+        """Implement `Drive.read`."""
         self._watch.poll()
         speed = None
         for message in self._decoder.feed(self._received(now)):
@@ -106,8 +107,8 @@ class VescDrive:
             version = f"{self._version.major}.{self._version.minor}"
             hint = "update it with the VESC tool: in this version, the steering command would change the configuration"
             raise Unready(f"the motor controller's firmware {version} is too old", hint)
-        if self._gone_since is not None and now - self._gone_since > SILENT:
-            raise Unready(self._gone, "check its cable and supply; it brakes by itself when commands stop")
+        if self._lost_since is not None and now - self._lost_since > SILENT:
+            raise Unready(self._loss, "check its cable and supply; the controller brakes by itself when commands stop")
         since = self._unanswered_since
         if since is not None and now - since > (SILENT if self._ever else STARTING):
             raise Unready(
@@ -134,34 +135,34 @@ class VescDrive:
             self._link = self._opened()
         except Unready:
             return
-        self._gone_since = self._unanswered_since = self._stuck_since = None
-        self._news.append(f"the motor controller at {self._device} is there again")
+        self._lost_since = self._unanswered_since = self._stuck_since = None
+        self._log_lines.append(f"the motor controller at {self._device} is there again")
 
     def _lose(self, error: Unready, now: float) -> None:
         self._watch.release()
         if self._link is not None:
             self._link.close()
-        self._link, self._gone, self._gone_since = None, error.message, now
+        self._link, self._loss, self._lost_since = None, error.message, now
         self._retry, self._unanswered_since = now + REPLUG, None
-        self._news.append(f"{error.message}: braking")
+        self._log_lines.append(f"{error.message}: braking")
 
     def ask(self, now: float) -> None:
-        """See Drive."""
+        """Implement `Drive.ask`."""
         self._send(b"", now)
 
     def checks(self, now: float) -> list[Finding]:
-        """See Drive: a VESC's settings cannot be read here, so there is nothing to check."""
+        """Return no checks, because this drive does not read the settings of the VESC."""
         return []
 
     def fixes(self) -> tuple[()]:
-        """See Drive: a VESC does not know the car's pose."""
+        """Return no poses, because a VESC does not know the car's pose."""
         return ()
 
     def go(self, command: Command, speed: float | None, now: float) -> None:
-        """See Drive. If commands cease, the VESC brakes by its own time-out.
+        """Implement `Drive.go`. If commands cease, the VESC brakes by its own time-out.
 
-        That needs two settings of the VESC: a time-out of 0.5 s, and a time-out brake current of `brake_current`; the
-        default of the latter is 0."""
+        For this, the VESC needs two settings: a time-out of 0.5 s, and a time-out brake current of `brake_current`,
+        whose default is 0."""
         settings = self._settings
         servo = settings.steering_to_servo_offset + settings.steering_to_servo_gain * command.steering
         erpm = settings.speed_to_erpm_gain * command.speed
@@ -169,7 +170,7 @@ class VescDrive:
         self._send(vesc.encode(vesc.SetServo(servo)) + vesc.encode(vesc.SetErpm(erpm)), now)
 
     def brake(self, now: float) -> None:
-        """See Drive."""
+        """Implement `Drive.brake`."""
         self._send(self._brake, now)
 
     def _send(self, commands: bytes, now: float) -> None:
@@ -181,8 +182,8 @@ class VescDrive:
         asked = vesc.encode(vesc.AskValues())
         if self._version is None:
             asked += vesc.encode(vesc.AskVersion())
-        # The rest of a partly written frame goes first, else it would corrupt the next one. New commands are then
-        # dropped instead of queued, since they would be outdated when sent.
+        # First write the rest of a partly written frame, which would corrupt the next frame. In this case new commands
+        # are dropped instead of queued, because they would be outdated when sent.
         data = self._unsent or commands + asked
         fresh = not self._unsent
         try:
@@ -199,13 +200,13 @@ class VescDrive:
         elif now - self._stuck_since > STUCK:
             raise Unready(f"the motor controller at {self._device} takes no commands", "check its cable")
 
-    def news(self) -> list[str]:
-        """See Drive."""
-        told, self._news = self._news + self._watch.news(), []
+    def log_lines(self) -> list[str]:
+        """Implement `Drive.log_lines`."""
+        told, self._log_lines = self._log_lines + self._watch.log_lines(), []
         return told
 
     def close(self, standing: bool) -> None:
-        """See Drive."""
+        """Implement `Drive.close`."""
         self._watch.close(standing)
         if self._link is not None:
             self._link.close()

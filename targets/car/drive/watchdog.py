@@ -1,15 +1,16 @@
 """Watchdog process of the car: shares the drive's device with the agent, and brakes if the agent stops commanding.
 
-It is run by its path, with Python's standard library only (`python3 -I -S watchdog.py SOCKET`). So it starts within
-some 30 ms, and contains nothing that can block. SOCKET is the descriptor of a SEQPACKET socket. The agent sends these
-messages, each a letter and its data:
+The agent starts it as `python3 -I -S watchdog.py SOCKET`, with Python's standard library only. So the process starts
+within about 30 ms, and contains nothing that can block. SOCKET is the descriptor of a SEQPACKET socket. The agent sends
+these messages, each of which is a letter and its data:
 
     H bytes   hold this device, whose descriptor is attached; the bytes, written to it, make the car brake
     A json    send the bytes of H as datagrams to this address
     B time    a command has just been written to the device, at this time (s on the system's monotonic clock)
     R         release the device: the agent has closed it
 
-The watchdog answers `B time` to each B. When it has to brake, it sends `L late`: the seconds since the last command.
+The watchdog answers each B with `B time`. When it begins to brake, it sends `L late`: the seconds since the last
+command.
 The agent writes its commands to the device itself, so the watchdog does not delay them.
 """
 
@@ -29,11 +30,11 @@ from contextlib import suppress
 
 LATE = 0.15  # seconds without a command after which the watchdog brakes
 PERIOD = 0.05  # seconds between two brake commands
-LAST = 2.0  # seconds for which it brakes after the agent's death; a car at 3 m/s stands by then
+LAST = 2.0  # seconds for which the watchdog brakes after the agent's death: enough to stop a car that drives at 3 m/s
 
 
 class Watchdog:
-    """State of the watchdog: the device held, and the time of the next brake command. Raises for no message."""
+    """Watchdog: it holds a device and knows when the next brake command is due. No message makes it raise."""
 
     def __init__(self, agent: socket.socket) -> None:
         self._agent = agent
@@ -52,12 +53,12 @@ class Watchdog:
             if self._end < math.inf:
                 time.sleep(wait)
             elif select.select([self._agent], [], [], None if wait == math.inf else wait)[0]:
-                self._take()
-                continue  # handle all messages before braking: this process, too, may not have run for some time
+                self._receive()
+                continue  # handle all messages before braking, because this process itself may have been suspended
             if (now := time.monotonic()) >= self._due:
                 self._write(now)
 
-    def _take(self) -> None:
+    def _receive(self) -> None:
         try:
             data, descriptors, _, _ = socket.recv_fds(self._agent, 4096, 1)
         except OSError:
@@ -81,7 +82,7 @@ class Watchdog:
                 self._orphaned()
 
     def _orphaned(self) -> None:
-        """Brake at once, because the agent has died, and unlock the device, which a restarted agent will need."""
+        """Brake at once, because the agent has died. Unlock the device, because a restarted agent needs it."""
         now = time.monotonic()
         if self._device < 0 or self._commanded == -math.inf:
             self._end = now
@@ -96,7 +97,8 @@ class Watchdog:
             with suppress(OSError):
                 self._agent.send(b"L" + struct.pack("d", now - self._commanded))
         self._due = now + PERIOD
-        data = self._unsent or self._brake  # the rest of a partly written frame first, else it would corrupt the next
+        # First write the rest of a partly written frame, which would corrupt the next frame.
+        data = self._unsent or self._brake
         try:
             if self._address is not None:
                 self._send(data)

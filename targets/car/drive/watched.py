@@ -1,4 +1,4 @@
-"""Agent's side of the watchdog: starts its process, passes it the device, reports every command, restarts it."""
+"""Agent's side of the watchdog: starts and restarts its process, passes the device, and reports each command."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
-STARTING = 2.0  # seconds within which a new process must answer; a slow board needs some tenths to load Python
+STARTING = 2.0  # seconds within which a new process must answer; a slow board needs tenths of a second to load Python
 SILENT = 0.5  # seconds without an answer after which the agent brakes the car
-HUNG = 1.0  # seconds without an answer after which the process is killed and restarted
-PAUSE = 1.0  # minimum seconds between two starts
+HUNG = 1.0  # seconds without an answer after which the watchdog's process is killed and restarted
+PAUSE = 1.0  # minimum seconds between two starts of the watchdog's process
 OFTEN = 5.0  # minimum seconds between two log lines on braking by the watchdog
 
 
@@ -27,12 +27,12 @@ class Watch(Protocol):
     def hold(self, device: int, brake: bytes, address: tuple[Any, ...] | None = None) -> None:
         """Let the watchdog write the bytes `brake` to this open, non-blocking device if commands cease.
 
-        `address`: destination of the bytes if the device is an unconnected datagram socket. Replaces the device held
-        before."""
+        This device replaces the one that the watchdog held before. `address`: destination of the bytes if the device is
+        an unconnected datagram socket."""
         ...
 
     def release(self) -> None:
-        """Let the watchdog release the device, because it is closed."""
+        """Let the watchdog release the device, because the agent has closed the device."""
         ...
 
     def beat(self) -> None:
@@ -40,16 +40,16 @@ class Watch(Protocol):
         ...
 
     def poll(self) -> None:
-        """Process the watchdog's answers, and restart its process if that has ended. Call at 20 Hz or more."""
+        """Process the watchdog's answers, and restart its process if it has ended. Call this at 20 Hz or more."""
         ...
 
     @property
     def trouble(self) -> str:
-        """Reason why the car must not be driven, in words; "" while the watchdog answers."""
+        """Reason why the car must not be driven: the watchdog does not answer. In words; "" while it answers."""
         ...
 
-    def news(self) -> list[str]:
-        """Return events since the last call, for the log."""
+    def log_lines(self) -> list[str]:
+        """Return messages about events since the last call, for the log."""
         ...
 
     def close(self, standing: bool) -> None:
@@ -58,7 +58,7 @@ class Watch(Protocol):
 
 
 class WatchdogProcess:
-    """Watchdog in its own process (watchdog.py), which `hold` starts.
+    """Watchdog in a process of its own (watchdog.py), which `hold` starts.
 
     `clock`: the system's monotonic clock, which both processes use."""
 
@@ -70,9 +70,9 @@ class WatchdogProcess:
         self._begun = -math.inf
         self._asked: float | None = None  # time of the first command that the process has not acknowledged
         self._answering = False  # whether the process has answered since its start
-        self._news: list[str] = []
-        self._told = -math.inf  # time of the last log line on braking
-        self._braked = 0  # number of times that the watchdog has braked since that line
+        self._log_lines: list[str] = []
+        self._logged_at = -math.inf  # time of the last log line on braking
+        self._braked = 0  # number of times that the watchdog has braked since its last log line
 
     @property
     def pid(self) -> int:
@@ -111,8 +111,8 @@ class WatchdogProcess:
         silent = self._asked is not None and self._clock() - self._asked > SILENT
         return "braking: the watchdog does not answer" if silent else ""
 
-    def news(self) -> list[str]:
-        told, self._news = self._news, []
+    def log_lines(self) -> list[str]:
+        told, self._log_lines = self._log_lines, []
         return told
 
     def close(self, standing: bool) -> None:
@@ -121,7 +121,7 @@ class WatchdogProcess:
             self._send(b"R")
             self._end(kill=False)
         elif self._socket is not None:
-            self._socket.close()  # the watchdog takes this for the agent's death, and brakes
+            self._socket.close()  # the watchdog treats the closed socket as the agent's death, and brakes
             self._socket = None
 
     def _begin(self) -> None:
@@ -130,13 +130,13 @@ class WatchdogProcess:
         ours.setblocking(False)
         command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("watchdog.py")), str(theirs.fileno())]
         try:
-            # Its own session, so that Ctrl-C in the agent's terminal, or the terminal's end, does not end the watchdog.
+            # A session of its own keeps the watchdog running after Ctrl-C in the agent's terminal, or after its end.
             self._child = subprocess.Popen(
                 command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True
             )
         except OSError as error:
             ours.close()
-            self._tell(f"the watchdog cannot be started: {error.strerror or error}; the car does not drive without")
+            self._log(f"the watchdog cannot be started: {error.strerror or error}; without it, the car does not drive")
             return
         finally:
             theirs.close()
@@ -161,7 +161,7 @@ class WatchdogProcess:
         try:
             self._socket.send(data)
         except BlockingIOError:
-            pass  # the watchdog does not read: it will soon count as hung
+            pass  # the watchdog does not read its messages: it will soon count as hung
         except OSError:
             self._lose("ended")
 
@@ -176,22 +176,22 @@ class WatchdogProcess:
             if not data:
                 self._lose("ended")
             elif data[:1] == b"L":
-                self._tell_braked(struct.unpack("d", data[1:])[0], now)
+                self._log_braking(struct.unpack("d", data[1:])[0], now)
             else:
                 self._answering, self._asked = True, None
 
-    def _tell_braked(self, late: float, now: float) -> None:
-        """Log that the watchdog braked, at most every OFTEN seconds; overload of the computer causes it repeatedly."""
+    def _log_braking(self, late: float, now: float) -> None:
+        """Log that the watchdog braked, at most every OFTEN seconds: an overloaded computer causes it repeatedly."""
         self._braked += 1
-        if now - self._told < OFTEN:
+        if now - self._logged_at < OFTEN:
             return
         times = f"{self._braked} times, the last because" if self._braked > 1 else "because"
-        self._tell(f"the watchdog braked {times} no command had come for {late:.2f} s: the agent was stuck or starved")
-        self._told, self._braked = now, 0
+        self._log(f"the watchdog braked {times} no command had come for {late:.2f} s: the agent was stuck or starved")
+        self._logged_at, self._braked = now, 0
 
     def _lose(self, why: str) -> None:
         self._end(kill=True)
-        self._tell(f"the watchdog {why}; it is begun anew, and the car is braked until it answers")
+        self._log(f"the watchdog {why}; it is begun anew, and the car is braked until it answers")
 
     def _end(self, kill: bool) -> None:
         child, self._child = self._child, None
@@ -208,13 +208,13 @@ class WatchdogProcess:
             child.kill()
             child.wait(timeout=0.1)
 
-    def _tell(self, line: str) -> None:
-        if line not in self._news:
-            self._news.append(line)
+    def _log(self, line: str) -> None:
+        if line not in self._log_lines:
+            self._log_lines.append(line)
 
 
 class Unwatched:
-    """Watchdog that does nothing, for tests and for simulations that control the agent's clock."""
+    """Watchdog that never brakes, for tests and for simulations that control the agent's clock."""
 
     trouble = ""
 
@@ -230,7 +230,7 @@ class Unwatched:
     def poll(self) -> None:
         pass
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def close(self, standing: bool) -> None:

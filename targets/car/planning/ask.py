@@ -1,6 +1,7 @@
-"""Requests to the car's planner, which runs in its own process: start, goal and heading; the answer has a curve, too.
+"""Judge of the car's planner: answers questions (start, goal, heading) in the planner's process, with curves.
 
-No way goes out that was not looked at as it will be driven, along its whole length, whoever planned it.
+A curve is answered only after a collision check along its whole length, whichever search planned it. A user's own
+planner answers points; `targets.planning.ask` checks these.
 """
 
 from __future__ import annotations
@@ -14,20 +15,20 @@ from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from targets.car.planning.curves import Curve, Triple
-from targets.car.planning.ground import PAD, Way, ground
+from targets.car.planning.ground import PAD, Terrain, ground
 from targets.car.planning.planner import Plan, Wish, points
 from targets.car.planning.search import Search, Task
 from targets.car.planning.shapes import named
 from targets.planning import own_trees
 from targets.planning.ask import NAMES, BadPlanner, finite, within
-from targets.planning.ask import Asked as AskedForPoints
+from targets.planning.ask import PlannerJudge as AskedForPoints
 from targets.planning.limit import Limit
 from targets.planning.pipe import Answer, Question
 from targets.planning.world import World
 
 
-class Asked:
-    """The car's judge: see `targets.planning.ask.Judge`."""
+class CarJudge:
+    """Judge of the car's planner, an implementation of `targets.planning.ask.Judge`."""
 
     def __init__(self, name: str, world: World) -> None:
         if name == "rrt-star" and own_trees.is_needed():
@@ -39,7 +40,9 @@ class Asked:
         _warm_up()
 
     def serve(self, question: Question) -> Answer:
-        """The curve that is answered ends at the goal exactly but for rounding, and so do its points, exactly."""
+        """Return the answer to a question. It has a curve, unless a user's own planner gave it.
+
+        The curve ends at the goal but for rounding errors. The last of the answer's points is exactly the goal."""
         if self._own is not None:
             return self._own.serve(question)
         over = Limit(question.seconds, self._world.iterations)
@@ -50,17 +53,17 @@ class Asked:
         if reason:
             return Answer(question.number, (), reason)
         seen = named(question.scene, self._ground.body, (start[0], start[1]), self._ground.clearance)
-        way = self._ground.around(start, (goal.x, goal.y), seen)
-        if way.inside:
-            return Answer(question.number, (), f"the car is in {way.inside}")
+        terrain = self._ground.around(start, (goal.x, goal.y), seen)
+        if terrain.inside:
+            return Answer(question.number, (), f"the car is in {terrain.inside}")
         headings = self._headings(start, question.goal, wish)
-        free = tuple(h for h in headings if way.slack(goal.x, goal.y, h) >= PAD)
+        free = tuple(h for h in headings if terrain.slack(goal.x, goal.y, h) >= PAD)
         if not free:
-            blocker = way.obstacle(goal.x, goal.y, headings[0])
+            blocker = terrain.obstacle(goal.x, goal.y, headings[0])
             return Answer(question.number, (), f"the goal is too near to {blocker}")
         task = Task(start, (goal.x, goal.y), free, wish.gear)
-        curve = self._found(task, way, over, over.later(wish.patience))
-        if curve is None or not way.clear(curve, 0.0):
+        curve = self._found(task, terrain, over, over.later(wish.time_limit))
+        if curve is None or not terrain.clear(curve, 0.0):
             return Answer(question.number, (), "")
         middle = (Point(x, y, 0.0) for x, y in points(curve)[1:-1])
         path = (question.start, *middle, goal)
@@ -79,17 +82,19 @@ class Asked:
         found = tuple(self._search.headings(start, (goal.x, goal.y)))
         return found if wish.arrival is None else (*found, wish.arrival)
 
-    def _found(self, task: Task, way: Way, over: Limit, end: Limit) -> Curve | None:
-        """Return the best way found when `over` says so; without one, the first until `end` does."""
+    def _found(self, task: Task, terrain: Terrain, over: Limit, end: Limit) -> Curve | None:
+        """Return the best path found until the limit `over` is reached; None if there is none.
+
+        If no path was found by then, return the first one that is found before the limit `end` is reached."""
         if math.dist(task.start[:2], task.goal) < 1e-3:
             return None
         search, name = self._search, self._name
-        if (curve := search.direct(task, way)) is not None or name == "straight":
+        if (curve := search.direct(task, terrain)) is not None or name == "straight":
             return curve
         if name == "rrt-star":
-            return search.grown(task, way, over)
+            return search.grown(task, terrain, over)
         best = None
-        for found in search.ways(task, way):
+        for found in search.paths(task, terrain):
             best = best if found is None else found
             late, spent = over(), end()
             if spent or (best is not None and (late or name == "rrt")):
@@ -99,7 +104,10 @@ class Asked:
 
 @cache
 def _warm_up() -> None:
-    """Search once around a wall: the first calls of numpy take some 20 ms more, which the first question has not."""
+    """Search a path around a wall once, before the first question.
+
+    The first calls of numpy take about 20 ms longer than later ones; the time limit of a question is too short for
+    that."""
     wall = Block(Point(1.9, -1.0, 0.0), Point(2.1, 2.5, 1.0))
     place = ground(
         World(
@@ -108,5 +116,5 @@ def _warm_up() -> None:
         )
     )  # fmt: skip
     task = Task((1.0, 1.0, 0.0), (3.0, 1.0), (0.0,))
-    ways = Search(0.9, True, place.area, 0).ways(task, place.around(task.start, task.goal))
-    next((way for way in ways if way is not None), None)
+    paths = Search(0.9, True, place.area, 0).paths(task, place.around(task.start, task.goal))
+    next((path for path in paths if path is not None), None)

@@ -1,9 +1,9 @@
-"""The shortest curves of a car: Reeds and Shepp's, which change gears, and Dubins's, which only go forwards.
+"""Shortest curves of a car between two poses: Reeds-Shepp curves use both gears, Dubins curves only go forwards.
 
 Formulas: J. A. Reeds and L. A. Shepp, Optimal paths for a car that goes both forwards and backwards, Pacific Journal of
 Mathematics 145 (1990), (8.1) to (8.11), whose misprints are corrected as in OMPL's ReedsSheppStateSpace; A. M. Shkel
-and V. Lumelsky, Classification of the Dubins set (2001). Computed here, not by OMPL, whose Python binding tells a
-curve's length but not its pieces. Metres, radians, local ENU.
+and V. Lumelsky, Classification of the Dubins set (2001). This module computes the curves itself, because OMPL's Python
+binding returns the length of a curve but not its pieces. Metres, radians, local ENU.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Piece = tuple[float, float]  # curvature (1/m, positive to the left) and length 
 Word = tuple[str, tuple[float, ...]]  # turns (L, S, R) and their lengths, for a radius of 1
 
 HALF = math.pi / 2
-SAME = 1e-7  # metres: a length that was told before is met this closely
-NOTHING = 1e-9  # metres: a shorter piece is none
+SAME = 1e-7  # metres: tolerance between a curve's computed length and the length that a caller passes
+NOTHING = 1e-9  # metres; shorter pieces are left out of a curve
 _SWAP = str.maketrans("LR", "RL")
 
 
 class Curve:
-    """From `start` along pieces of constant curvature; `length` in metres, unsigned."""
+    """Curve from the pose `start` along pieces of constant curvature. `length` (m) counts both gears as positive."""
 
     __slots__ = ("_places", "_stations", "length", "pieces", "start")
 
@@ -43,7 +43,7 @@ class Curve:
 
     @property
     def ends(self) -> list[Triple]:
-        """The poses where pieces end."""
+        """Poses at which the pieces end."""
         return self._places[1:]
 
     def at(self, station: float) -> Triple:
@@ -55,7 +55,7 @@ class Curve:
         return along(self._places[i], curvature, math.copysign(station - self._stations[i], way))
 
     def between(self, begin: float, end: float) -> tuple[Piece, ...]:
-        """Return the pieces from one station to another."""
+        """Return the pieces of the stretch between two stations (arc lengths from the start, m)."""
         found = []
         for (curvature, way), at in zip(self.pieces, self._stations, strict=False):
             share = min(end, at + abs(way)) - max(begin, at)
@@ -65,7 +65,7 @@ class Curve:
 
 
 def along(start: Triple, curvature: float, way: float) -> Triple:
-    """Return the pose after driving `way` metres (negative: in reverse) at a curvature: exact."""
+    """Return the exact pose after driving `way` metres (negative: in reverse) at a constant curvature (1/m)."""
     x, y, yaw = start
     half = curvature * way / 2
     chord = way * math.sin(half) / half if half else way
@@ -73,7 +73,9 @@ def along(start: Triple, curvature: float, way: float) -> Triple:
 
 
 def reeds_shepp(start: Triple, goal: Triple, radius: float, length: float | None = None) -> Curve:
-    """Return the shortest curve between two poses in both gears; when its `length` is known, it is found sooner."""
+    """Return the shortest curve between two poses that may use both gears.
+
+    `length`: length of this curve (m), if it is known; the search then ends at the first curve of this length."""
     x, y, phi = seen_from(start, goal, radius)
     wanted = -math.inf if length is None else (length + SAME) / radius
     best, turns = math.inf, ("", ())  # type: tuple[float, Word]
@@ -87,7 +89,7 @@ def reeds_shepp(start: Triple, goal: Triple, radius: float, length: float | None
 
 
 def dubins(start: Triple, goal: Triple, radius: float, length: float | None = None) -> Curve:
-    """Return the shortest curve between two poses that only goes forwards."""
+    """Return the shortest curve between two poses that only goes forwards. `length` is not used."""
     x, y, phi = seen_from(start, goal, radius)
     d, theta = math.hypot(x, y), math.atan2(y, x)
     words = _forward_words(d, -theta, phi - theta)
@@ -95,7 +97,7 @@ def dubins(start: Triple, goal: Triple, radius: float, length: float | None = No
 
 
 def seen_from(start: Triple, goal: Triple, unit: float = 1.0) -> Triple:
-    """Return a pose in the frame of another, in multiples of `unit`: ahead, to the left, turned by."""
+    """Return the pose `goal` in the frame of `start`: ahead and to the left in multiples of `unit`, yaw in radians."""
     x, y = (goal[0] - start[0]) / unit, (goal[1] - start[1]) / unit
     c, s = math.cos(start[2]), math.sin(start[2])
     return c * x + s * y, c * y - s * x, wrap(goal[2] - start[2])
@@ -108,7 +110,7 @@ def _pieces(word: Word, radius: float) -> tuple[Piece, ...]:
 
 
 def _words(x: float, y: float, phi: float) -> Iterator[Word]:
-    """All candidates: each formula as it stands, in time reversed, mirrored, and both."""
+    """Yield all candidate words: those of each formula unchanged, time-reversed, mirrored, and both."""
     c, s = math.cos(phi), math.sin(phi)
     backx, backy = x * c + y * s, x * s - y * c
     for family, px, py, backwards in ((_FORWARD, x, y, False), (_BACKWARD, backx, backy, True)):
@@ -257,6 +259,6 @@ def _forward_words(d: float, alpha: float, beta: float) -> Iterator[Word]:
 
 
 def _turn(angle: float) -> float:
-    """Within 0 to 2 pi; a rounding error below 0 is 0, not a full circle."""
+    """Return the angle within 0 to 2 pi. An angle that rounding made slightly negative becomes 0, not a full circle."""
     found = angle % (2 * math.pi)
     return 0.0 if 2 * math.pi - found < 1e-9 else found

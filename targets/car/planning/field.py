@@ -1,7 +1,8 @@
-"""Distance field: distances to a place around obstacles, for a point. It is the heuristic of a search over poses.
+"""Distance field: the length of the shortest path around obstacles to a place, for a point instead of a car.
 
-Breadth first over square cells: steps go to all eight neighbours and to the four nearest in turn, so that what is
-reached in the same number of steps is an octagon, within 6 % of a circle. Metres, local ENU.
+The search over poses uses it as its heuristic. The field is computed by breadth-first search over square cells. Steps
+go alternately to all eight neighbours and to the four nearest ones. So the cells that are reached in a number of steps
+form an octagon, within 6 % of a circle. Metres, local ENU.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from targets.car.planning.overlap import Floats, Indices, Mask
 from targets.car.planning.planner import Area
 
 MOST_CELLS = 250_000
-STEP = 1.06  # widths of a cell that a step comes farther, in the mean over all directions: 1 to 1.12
+STEP = 1.06  # length of a step in cell widths: mean over all directions, which range from 1 to 1.12
 FAR = 1e6  # metres; distance of cells from which no path leads to the place
 
 
 class Cells:
-    """Square cells over an area, no narrower than `size`, with an edge of cells around it that is not part of it."""
+    """Square cells over an area, at least `size` metres wide, with an edge of cells around the area."""
 
     def __init__(self, area: Area, size: float) -> None:
         width, height = area.east - area.west, area.north - area.south
@@ -27,18 +28,19 @@ class Cells:
         self._west, self._south = area.west - self.size, area.south - self.size
         self.columns, self._rows = math.ceil(width / self.size) + 3, math.ceil(height / self.size) + 3
         row, column = np.divmod(np.arange(self._rows * self.columns), self.columns)
-        self.x, self.y = self._west + self.size * column, self._south + self.size * row  # of all cells' middles
+        # Coordinates of the middles of all cells.
+        self.x, self.y = self._west + self.size * column, self._south + self.size * row
         self.edge: Mask = (row == 0) | (row == self._rows - 1) | (column == 0) | (column == self.columns - 1)
 
     def numbers(self, x: Floats, y: Floats) -> Indices:
-        """Return the cells of places; of a place outside, a cell beside the edge."""
+        """Return the numbers of the cells in which places lie; for a place outside, the nearest cell of the area."""
         column = np.minimum(np.maximum((x - self._west) / self.size + 0.5, 1), self.columns - 2).astype(np.intp)
         row = np.minimum(np.maximum((y - self._south) / self.size + 0.5, 1), self._rows - 2).astype(np.intp)
         return row * self.columns + column
 
 
 class Field:
-    """Distances to `place`, through the cells that are `free`."""
+    """Distances (m) to `place` along paths through the cells that are `free`."""
 
     def __init__(self, place: tuple[float, float], cells: Cells, free: Mask) -> None:
         self._cells = cells
@@ -53,10 +55,10 @@ class Field:
             number += 1
             onto = (front[:, None] + (eight if number % 2 else four)).ravel()
             onto = onto[steps[onto] < 0]
-            steps[onto] = number  # also of cells that are not free: these are reached, and not left
+            steps[onto] = number  # occupied cells get a number, too, but no path continues from them
             front = np.unique(onto[free[onto]])
         self._left = np.where(steps < 0, FAR, steps * (STEP * cells.size))
 
     def __call__(self, x: Floats, y: Floats) -> Floats:
-        """Return the distances from places; FAR where the cells have no way."""
+        """Return the distances (m) from places to the field's place; FAR where no path leads to it."""
         return self._left[self._cells.numbers(x, y)]

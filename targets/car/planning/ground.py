@@ -1,9 +1,9 @@
 """Collision check of the car's footprint along a curve.
 
-A pose is checked, which gives its slack: the distance that every place of the outline can move without a collision. The
-next checked pose is as far away as that slack allows, whichever way the car turns. So a curve that is found clear is
-clear between the checked poses as well; in narrow places, more poses are checked. A search first checks many single
-poses at once (`Way.free`); that check does not cover the path between them.
+The check of a pose returns its slack: the distance (m) that every place of the outline can move without a collision.
+The next checked pose is as far away as this slack allows, whichever way the car turns. So a curve that is found clear
+is also clear between the checked poses, and a narrow place needs more checks. A search first checks many single poses
+at once (`Terrain.free`); that check does not cover the path between the poses.
 """
 
 from __future__ import annotations
@@ -21,30 +21,32 @@ from targets.car.planning.planner import Area
 from targets.car.planning.shapes import Footprint, Shape, standing
 from targets.planning.world import World
 
-FAR = 0.5  # metres; a larger slack is reported as this
-CELL = 0.5  # metres; width of the square cells for which near obstacles are cached
-LEAST_STEP = 0.004  # minimum metres between two checked poses
-PAD = 0.006  # metres kept in addition on planned paths: the outline moves by less than this in a least step
-LEAVING = 0.95  # share of the start's distance from an obstacle that is too near, which is kept while leaving
-# Lower limit of that distance as a share of the clearance, if the start has it. Without this limit, a car whose paths
-# are planned again and again, from ever nearer places, would touch the obstacle in the end.
+FAR = 0.5  # maximum slack (m) that `Terrain.slack` returns
+CELL = 0.5  # metres: width of the square cells for which nearby obstacles are cached
+LEAST_STEP = 0.004  # minimum distance (m) between two checked poses
+PAD = 0.006  # metres added to the distances of planned paths; the outline moves less than this in LEAST_STEP
+
+# If an obstacle is too near to the car at the start, the path keeps this share of the start's distance from it.
+LEAVING = 0.95
+# Lower limit of the distance that LEAVING gives, as a share of the clearance; it applies if the start is farther away.
+# Without this limit, a car that plans again and again, from ever nearer places, would touch the obstacle in the end.
 LEAST = 0.5
 MARGIN = 0.05  # metres kept from the arena's edge, for tracking errors
-POINT = Footprint(0.02, 0.02, 0.01)  # metres; nearly a point, for the distance field around obstacles of a search
-WIDE = 0.17  # width of the cells of that distance field, in turning radii
-DIP = 0.0015  # metres kept in addition at samples of an arc, between which the outline may come nearer by 2 mm
-FENCE_STEP = 0.02  # metres between two checks of the geofence; an arc bulges by less than 0.1 mm in between
+POINT = Footprint(0.02, 0.02, 0.01)  # metres: an outline that is nearly a point, for a search's distance field
+WIDE = 0.17  # width of a distance field's cells, in turning radii
+DIP = 0.0015  # metres added to the distances at an arc's samples: between them the outline may come nearer by 2 mm
+FENCE_STEP = 0.02  # metres between two checks of the geofence; between them an arc bulges by less than 0.1 mm
 
-Kept = tuple[float, float, float, float, float, Shape]  # west, south, east, north, distance kept, shape
+Kept = tuple[float, float, float, float, float, Shape]  # bounds (west, south, east, north), distance to keep (m), shape
 
 
 class Things:
-    """Shapes, each with the distance that is kept from it, and which of them are near a place."""
+    """Obstacles: shapes, each with the distance (m) to keep from it, found by place."""
 
     def __init__(self, kept: list[Kept], reach: float) -> None:
-        """`reach`: metres from the middle of the footprint within which it may get to something."""
+        """`reach`: distance (m) from the footprint's middle within which obstacles are checked."""
         self.kept = kept
-        self._reach = reach + CELL  # a cell's middle is less than that from its corners
+        self._reach = reach + CELL  # the middle of a cell is less than CELL from its corners
         self._near: dict[tuple[int, int], list[Kept]] = {}
 
     def around(self, x: float, y: float) -> list[Kept]:
@@ -65,10 +67,10 @@ class Things:
 
 
 class Ground:
-    """What does not change: the car, where it may be, and what stands there. Metres, local ENU."""
+    """Fixed surroundings of a car: its outline, its area and the obstacles of the fleet file. Metres, local ENU."""
 
     def __init__(self, body: Footprint, curvature: float, area: Area, fixed: Iterable[Shape], clearance: float) -> None:
-        """`curvature` is the sharpest, 1/m; `clearance` is kept between the outline and all else."""
+        """`curvature`: maximum curvature (1/m). `clearance`: distance (m) to keep between outline and obstacles."""
         self.body, self.area, self.clearance = body, area, clearance
         self.least = LEAST * clearance
         self.pace = body.pace(curvature)
@@ -80,16 +82,16 @@ class Ground:
 
     @cached_property
     def cells(self) -> Cells:
-        """The ground in cells."""
+        """Square cells that cover the car's area, for distance fields."""
         return Cells(self.area, WIDE * self._radius)
 
     @cached_property
     def passable(self) -> Mask:
-        """Which of the cells a point that keeps the car's distances may be in."""
+        """Mask of the cells whose middle is at least the clearance away from all fixed obstacles."""
         return _passable(self.table, self.cells)
 
     def table_of(self, kept: list[tuple[Shape, float]]) -> ShapeTable:
-        """Return shapes, each with the distance that is kept from it, for checks of many poses."""
+        """Return a table of shapes, each with its distance to keep (m), to check many poses at once."""
         area, out = self.area, self.body.reach
         extent = (area.west - out, area.south - out, area.east + out, area.north + out)
         return ShapeTable([shape for shape, _ in kept], [away for _, away in kept], self.body, extent)
@@ -97,15 +99,18 @@ class Ground:
     def things(self, kept: Iterable[Kept]) -> Things:
         return Things(list(kept), self.round + FAR)
 
-    def around(self, start: Triple, goal: tuple[float, float], seen: Iterable[Shape] = ()) -> Way:
-        """Of one question: with what others tell of."""
-        return Way(self, start, goal, seen)
+    def around(self, start: Triple, goal: tuple[float, float], seen: Iterable[Shape] = ()) -> Terrain:
+        """Return the surroundings for one question; `seen` are obstacles that the program or other robots reported."""
+        return Terrain(self, start, goal, seen)
 
 
-class Way:
-    """`inside` names the first thing that stands there and that the car has a point in common with at the start, so
-    that it cannot keep away from it; of what was only told, such is left out: it was seen wrongly, or is the car. From
-    what else is too near at the start, nearly the distance there is kept. Start and goal may be in the margin."""
+class Terrain:
+    """Terrain of a car for one question: fixed obstacles, reported obstacles and the area.
+
+    `inside`: name of the first fixed obstacle that overlaps the car at the start; "" if there is none. A reported
+    obstacle that overlaps the car there is ignored: its position is wrong, or it is the car itself. From other
+    obstacles that are too near at the start, a path keeps nearly the start's distance (LEAVING). Start and goal may be
+    in the margin of the area."""
 
     def __init__(self, ground: Ground, start: Triple, goal: tuple[float, float], seen: Iterable[Shape]) -> None:
         self._ground, self._start = ground, start
@@ -115,7 +120,7 @@ class Way:
         told = [(shape, kept) for shape in seen if (kept := self._beginning(shape)) is not None]
         own = [(*shape.bounds, kept, shape) for shape, kept in told]
         self._things = [ground.fixed]
-        self._told, self._near = told, near
+        self._reported, self._near = told, near
         if any(kept != ground.clearance for kept in near.values()):
             own += [
                 (*shape.bounds, kept, shape)
@@ -129,30 +134,30 @@ class Way:
 
     @property
     def area(self) -> Area:
-        """Where the reference point may be."""
+        """Area in which the car's reference point may be; it contains start and goal."""
         return self._area
 
     @cached_property
     def _tables(self) -> list[ShapeTable]:
-        """For `free`, which not every question needs."""
+        """Tables of fixed and of reported obstacles. Built at first use, because not every question needs them."""
         ground, near = self._ground, self._near
         away = [kept for *_, shape in ground.fixed.kept if (kept := near.get(id(shape), ground.clearance)) is not None]
         changed = any(kept != ground.clearance for kept in away)
         fixed = ground.table.lowered(away) if changed else ground.table
-        return [fixed, ground.table_of(self._told)] if self._told else [fixed]
+        return [fixed, ground.table_of(self._reported)] if self._reported else [fixed]
 
     @property
     def cells(self) -> Cells:
-        """The ground in cells."""
+        """Square cells that cover the car's area, for distance fields."""
         return self._ground.cells
 
     def passable(self) -> Mask:
-        """Return which of the cells a point that keeps the car's distances may be in."""
+        """Return the mask of the cells whose middle keeps the required distances from all obstacles."""
         told = self._tables[1:]
         return self._ground.passable & _passable(told[0], self.cells) if told else self._ground.passable
 
     def free(self, x: Floats, y: Floats, yaw: Floats) -> Mask:
-        """Return for each of many poses whether the car keeps its distances there, and PAD more."""
+        """Return for each pose whether the car is in its area and keeps its distances, plus PAD and DIP."""
         area = self._area
         free: Mask = (area.west <= x) & (x <= area.east) & (area.south <= y) & (y <= area.north)
         for table in self._tables:
@@ -160,7 +165,7 @@ class Way:
         return free
 
     def _beginning(self, shape: Shape) -> float | None:
-        """Return the distance to keep from a shape; None: the car is in it."""
+        """Return the distance (m) to keep from a shape; None if the car overlaps it at the start."""
         clearance = self._ground.clearance
         west, south, east, north = shape.bounds
         x, y = self._middle(*self._start)
@@ -181,7 +186,7 @@ class Way:
         return x + self._ground.middle * math.cos(yaw), y + self._ground.middle * math.sin(yaw)
 
     def slack(self, x: float, y: float, yaw: float) -> float:
-        """Return the slack of a pose (m), at most FAR; below 0 if an obstacle is too near or the car outside."""
+        """Return the slack of a pose (m), at most FAR; negative outside of the area or too near to an obstacle."""
         if not self._area.contains(x, y):
             return -1.0
         best, around, distance = FAR, self._ground.round, self._ground.body.distance
@@ -198,7 +203,7 @@ class Way:
         return best
 
     def obstacle(self, x: float, y: float, yaw: float) -> str:
-        """Return the name of an obstacle that is too near at a pose; "" if there is none."""
+        """Return the name of an obstacle that is too near to the car at a pose; "" if there is none."""
         for things in self._things:
             for *_, kept, shape in things.around(*self._middle(x, y, yaw)):
                 if self._ground.body.distance(x, y, yaw, shape) < kept + PAD:
@@ -206,19 +211,21 @@ class Way:
         return ""
 
     def clear(self, curve: Curve, pad: float = PAD) -> bool:
-        """Return whether the car keeps its distances, and `pad` more, all along a curve.
+        """Return whether the car keeps its distances, and `pad` metres more, along a whole curve.
 
         The ends of pieces are checked, too: at a change of gear, the car could leave the area and return between two
         checked poses."""
         area = self._area
         return all(area.contains(x, y) for x, y, _ in curve.ends) and self.open(curve.at, curve.length, pad)
 
-    def surely_clear(self, curve: Curve) -> bool:
-        """Return whether the car keeps its distances all along, also between the poses that are looked at."""
+    def is_fully_clear(self, curve: Curve) -> bool:
+        """Return whether the car keeps its distances along a whole curve, also between the checked poses."""
         return self.clear(curve, min(PAD, self._ground.pace * LEAST_STEP))
 
     def open(self, at: Callable[[float], Triple], length: float, pad: float = PAD) -> bool:
-        """The same of poses at stations from 0 to `length` metres. The middle first: what is in the way is met soon."""
+        """Return whether the car keeps its distances at all poses `at(station)`, for stations from 0 to `length` (m).
+
+        The search bisects: it checks the middle of each stretch first, so that it finds an obstacle early."""
         todo = [(0.0, length)]
         pace, area = self._ground.pace, self._area
         for begin, end in todo:
@@ -242,7 +249,7 @@ def _passable(table: ShapeTable, cells: Cells) -> Mask:
 
 
 def area(world: World, margin: float = MARGIN) -> Area:
-    """Return the free space of the reference point."""
+    """Return the area of the reference point: the arena less a margin (m) at each edge."""
     lo, hi = world.arena.lo, world.arena.hi
     (west, east), (south, north) = sorted((lo.x, hi.x)), sorted((lo.y, hi.y))
     margin = min(margin, (east - west) / 2, (north - south) / 2)
@@ -250,7 +257,7 @@ def area(world: World, margin: float = MARGIN) -> Area:
 
 
 def ground(world: World) -> Ground:
-    """Return the car and what stands there. Raises ZeroDivisionError for a car that turns on the spot."""
+    """Return the fixed surroundings of a car. Raises ZeroDivisionError if its turning radius is 0."""
     body = Footprint(*world.footprint, world.overhang)
     fixed = standing(world.obstacles, world.height)
     return Ground(body, 1 / world.turning_radius, area(world), fixed, max(world.clearance, world.error))

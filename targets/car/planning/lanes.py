@@ -1,9 +1,10 @@
 """Lanes: the ground that other robots' paths cover, and how far a car may drive along its own path because of them.
 
-A path shows where its robot will be, not where it is now. So a car outside a lane stops before it.
+A published path shows where its robot will be, not where it is now. So a car outside a lane stops before it.
 
-A car inside a lane may leave it over a short distance. Meanwhile it must come no nearer to the middle of the lane, nor
-to the start of the other's path, since a waiting robot stands there. So two cars in each other's lane do not collide.
+A car inside a lane may leave it over a short distance. Until it is out, it must not come nearer to the middle of the
+lane, nor to the start of the other robot's path, because a waiting robot stands there. So two cars in each other's lane
+do not collide.
 Metres, local ENU.
 """
 
@@ -22,7 +23,9 @@ ROUGH = 0.01  # metres: the accuracy of the car's position
 
 
 class Lane:
-    """Of one path, for a car with that outline whose rear axle is at `here` now. `inside`: it is in the lane."""
+    """Lane of another robot's path, for a car with the outline `body` whose rear axle is at `here`.
+
+    `inside`: whether the car is in the lane now."""
 
     def __init__(self, path: Path, body: Footprint, here: Triple, clearance: float) -> None:
         self._shapes = list(named(Scene(others=(path,)), body, here[:2], clearance))
@@ -32,8 +35,9 @@ class Lane:
         self.inside = self._depth < 0.0
 
     def free(self, curve: Curve, station: float, ahead: float) -> float:
-        """Return how many metres of a curve, from a station on, may be driven: 0 where the car is inside and must not
-        leave this way; infinite when the first `ahead` metres may."""
+        """Return how many metres of a curve may be driven, from a station on; infinite if at least `ahead` may be.
+
+        The result is 0 if the car is in the lane and the curve is no admissible way out of it."""
         out = self._way_out(curve, station) if self.inside else 0.0
         if out == math.inf:
             return 0.0
@@ -45,7 +49,7 @@ class Lane:
         return math.inf
 
     def _way_out(self, curve: Curve, station: float) -> float:
-        """Return after how many metres the car is out of the lane; infinite if it must not leave this way."""
+        """Return after how many metres of a curve the car is out of the lane; infinite if the curve is not allowed."""
         longest = self._body.length + 2 * self._body.reach
         middle, begin = self._distances(self._here)
         for i in range(1, math.ceil(longest / LOOK) + 1):
@@ -61,14 +65,14 @@ class Lane:
         return math.inf
 
     def _distances(self, pose: Triple) -> tuple[float, float]:
-        """Return how far the middle of the outline is from the path, and from where that begins."""
+        """Return the distances (m) of the outline's middle from the other robot's path and from its start."""
         x, y, yaw = pose
         ahead = self._body.length / 2 - self._body.overhang
         place = Point(x + ahead * math.cos(yaw), y + ahead * math.sin(yaw))
         return path_distance((place,), self._line), path_distance((place,), self._line[:1])
 
     def _away(self, pose: Triple) -> float:
-        """Return the distance of the outline from the lane; negative inside, infinite when it is far away."""
+        """Return the distance (m) of the outline from the lane; negative inside, infinite if it is far away."""
         x, y, yaw = pose
         reach, best = self._body.reach, math.inf
         for shape in self._shapes:

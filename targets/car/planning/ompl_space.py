@@ -1,8 +1,8 @@
-"""OMPL's spaces of car poses: the lengths of curves, and RRT* over them.
+"""OMPL's state spaces of car poses: lengths of shortest curves, and RRT* over such curves.
 
-Of OMPL's Python binding only these calls are relied on (version 2.0.1, where out-parameters stay empty; a test holds
-that they work): those listed in `targets/planning/ompl_trees.py` but those of vector spaces, and
-`ReedsSheppStateSpace`, `DubinsStateSpace`, `distance`, `setXY`, `setYaw`, `getX`, `getY`, `getYaw`,
+This module uses only a few calls of OMPL's Python binding, and a test checks that they work in version 2.0.1, whose
+out-parameters stay empty. They are the calls listed in `targets/planning/ompl_trees.py`, except those of vector spaces,
+and `ReedsSheppStateSpace`, `DubinsStateSpace`, `distance`, `setXY`, `setYaw`, `getX`, `getY`, `getYaw`,
 `GoalStates.addState`, `addStartState`, `setGoal`, `setRange`, `setGoalBias`.
 """
 
@@ -18,12 +18,12 @@ from targets.car.planning.curves import Triple
 from targets.car.planning.planner import Area
 from targets.planning.limit import STARTS, Limit
 
-RANGE = 2.0  # metres: the longest edge of a tree
-GOAL_BIAS = 0.2  # of the samples of a forward tree
+RANGE = 2.0  # metres: maximum length of a tree's edge
+GOAL_BIAS = 0.2  # share of samples at the goal, in trees of a car without reverse gear
 
 
 class OmplSpace:
-    """Poses in an area, joined by curves of a least radius, in both gears if `reverse`."""
+    """Poses in an area, joined by curves with a minimum turning radius (m), in both gears if `reverse`."""
 
     def __init__(self, radius: float, reverse: bool, area: Area) -> None:
         util.setLogLevel(util.LogLevel.LOG_NONE)
@@ -37,19 +37,20 @@ class OmplSpace:
         self._space.setBounds(bounds)
 
     def distance(self, a: Triple, b: Triple) -> float:
-        """Return the length of the shortest curve (m)."""
+        """Return the length (m) of the shortest curve from one pose to another."""
         return float(self._space.distance(_put(self._a, a), _put(self._b, b)))
 
     def grown(
         self, start: Triple, goals: Sequence[Triple], clear: Callable[[Triple, Triple, float], bool], over: Limit,
         seed: int | None,
     ) -> list[Triple] | None:  # fmt: skip
-        """Return the poses behind the start that RRT* finds; None without a way. `clear` says whether the curve of a
-        length from one pose to another is clear."""
+        """Return the poses after the start on the path that RRT* finds; None if it finds none.
+
+        `clear` returns whether the shortest curve between two poses, whose length (m) it receives, is clear."""
         if seed is not None:
             util.RNG.setSeed(seed * STARTS + 1)
         information = base.SpaceInformation(self._space)
-        information.setStateValidityChecker(lambda state: True)  # the ends of every curve are looked at with the curve
+        information.setStateValidityChecker(lambda state: True)  # the check of a curve covers its ends
         validator = _Curves(information, self._space, clear)
         information.setMotionValidator(validator)
         information.setup()
@@ -77,7 +78,7 @@ class _Curves(base.MotionValidator):  # type: ignore[misc]
         super().__init__(information)
         self._space, self._clear = space, clear
 
-    def checkMotion(self, a: Any, b: Any) -> bool:  # OMPL's name
+    def checkMotion(self, a: Any, b: Any) -> bool:  # name required by OMPL
         return self._clear(_pose(a), _pose(b), float(self._space.distance(a, b)))
 
 

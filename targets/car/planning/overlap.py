@@ -1,7 +1,8 @@
-"""Collision check of many poses at once: the car's outline against shapes, exactly, with numpy.
+"""Exact collision check of many poses at once: the car's outline against shapes, with numpy.
 
-`shapes.Footprint.distance` measures one pose; a `ShapeTable` tells for arrays of poses which of them keep their
-distances. Shapes are sorted into square cells of the ground, so that a pose is compared only with shapes near it.
+`shapes.Footprint.distance` measures one pose. A `ShapeTable` checks arrays of poses: it returns which poses keep the
+required distance from every shape. It sorts shapes into square cells of the ground, and compares a pose only with the
+shapes near its cell.
 Metres, radians, local ENU.
 """
 
@@ -20,15 +21,15 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-CELL, MOST_CELLS = 0.5, 250_000  # metres: the least width of a cell; and their number at most
-MOST_PAD = 0.05  # metres: the largest `pad` of a check
+CELL, MOST_CELLS = 0.5, 250_000  # least width (m) of a cell; maximum number of cells
+MOST_PAD = 0.05  # metres: largest `pad` that `ShapeTable.free` accepts
 
 
 class ShapeTable:
     """Obstacles as arrays of shapes. Each shape has a distance (m) that the car's outline must keep from it."""
 
     def __init__(self, shapes: Sequence[Shape], kept: Sequence[float], body: Footprint, extent: Bounds) -> None:
-        """`extent` covers all poses that are checked; `body` is the largest outline."""
+        """`body`: the largest outline that will be checked. `extent`: area (m) in which all checked poses lie."""
         most = max((len(shape.core) for shape in shapes), default=1)
         cores = [(*shape.core, *shape.core[-1:] * (most - len(shape.core))) for shape in shapes]
         self._cores = np.array(cores, dtype=float).reshape(len(shapes), most, 2)
@@ -43,7 +44,7 @@ class ShapeTable:
         self._sort(math.hypot(body.length, body.width) / 2 + abs(_middle(body)) + MOST_PAD)
 
     def _sort(self, reach: float) -> None:
-        """Note for each cell the shapes within reach of it."""
+        """Record for each cell the shapes that an outline centred in it may touch: those within `reach` (m)."""
         owners, members = [np.zeros(0, dtype=np.intp)], [np.zeros(0, dtype=np.intp)]
         for number, ((west, south, east, north), kept) in enumerate(zip(self._bounds, self._kept, strict=True)):
             away = reach + kept
@@ -61,14 +62,14 @@ class ShapeTable:
         return np.arange(min(max(begin, 0), count), min(max(end, 0), count))
 
     def lowered(self, kept: Sequence[float]) -> ShapeTable:
-        """Return the same shapes with other distances, none larger than before."""
+        """Return a table of these shapes with other distances (m). No distance may be larger than in this table."""
         found = ShapeTable.__new__(ShapeTable)
         found.__dict__ |= self.__dict__
         found._kept = np.array(kept, dtype=float)
         return found
 
     def free(self, body: Footprint, x: Floats, y: Floats, yaw: Floats, pad: float) -> Mask:
-        """Return for each pose whether the outline `body` keeps its distances, and `pad` more."""
+        """Return for each pose whether the outline `body` keeps its distance, plus `pad` metres, from every shape."""
         free = np.ones(len(x), dtype=bool)
         pose, shape = self._near(x, y)
         if not len(pose):
@@ -90,7 +91,7 @@ class ShapeTable:
         return free
 
     def _near(self, x: Floats, y: Floats) -> tuple[Indices, Indices]:
-        """Return pairs: each pose with each shape of its cell."""
+        """Return pairs as two arrays: each pose's index, with the index of each shape of its cell."""
         column = np.minimum(np.maximum((x - self._west) / self._size, 0), self._columns - 1).astype(np.intp)
         row = np.minimum(np.maximum((y - self._south) / self._size, 0), self._rows - 1).astype(np.intp)
         cell = row * self._columns + column
@@ -100,7 +101,7 @@ class ShapeTable:
         return pose, self._members[np.arange(len(pose)) + np.repeat(before, counts)]
 
 
-Poses = tuple[Floats, Floats, Floats, Floats]  # x, y, and cosine and sine of yaw
+Poses = tuple[Floats, Floats, Floats, Floats]  # x, y, cosine of yaw, sine of yaw
 
 
 def _middle(body: Footprint) -> float:
@@ -108,16 +109,18 @@ def _middle(body: Footprint) -> float:
 
 
 def _near_box(body: Footprint, boxes: Floats, poses: Poses, away: Floats) -> Mask:
-    """Do what `_near_polygon` does, for axis-parallel boxes given by their bounds. Most of the time is spent here."""
+    """Return for each pair whether the outline overlaps an axis-parallel box, or is nearer to it than `away` metres.
+
+    This special case of `_near_polygon` exists for speed: most of the time of a search is spent on boxes."""
     front, back, half = body.front, -body.overhang, body.width / 2
     x, y, c, s = (of[:, None] for of in poses)
     dx, dy = boxes[:, (0, 2, 2, 0)] - x, boxes[:, (1, 1, 3, 3)] - y
-    u, v = c * dx + s * dy, c * dy - s * dx  # the box's corners in the frame of the outline
+    u, v = c * dx + s * dy, c * dy - s * dx  # corners of the box in the frame of the outline
     apart = (u.min(axis=1) > front) | (u.max(axis=1) < back) | (v.min(axis=1) > half) | (v.max(axis=1) < -half)
     du, dv = u - np.minimum(np.maximum(u, back), front), v - np.minimum(np.maximum(v, -half), half)
     least = (du * du + dv * dv).min(axis=1)
     ahead, aside = np.array((back, front, front, back)), np.array((-half, -half, half, half))
-    px, py = x + c * ahead - s * aside, y + s * ahead + c * aside  # the outline's corners
+    px, py = x + c * ahead - s * aside, y + s * ahead + c * aside  # corners of the outline
     west, south, east, north = boxes.T
     apart |= (px.min(axis=1) > east) | (px.max(axis=1) < west) | (py.min(axis=1) > north) | (py.max(axis=1) < south)
     dx = px - np.minimum(np.maximum(px, west[:, None]), east[:, None])
@@ -128,12 +131,14 @@ def _near_box(body: Footprint, boxes: Floats, poses: Poses, away: Floats) -> Mas
 
 
 def _near_polygon(body: Footprint, cores: Floats, poses: Poses, away: Floats) -> Mask:
-    """Return for each pair whether the outline overlaps a convex polygon, or is nearer to it than `away`. Corners are
-    counter-clockwise, some may be equal. Of two convex bodies apart, a corner of one is nearest to the other."""
+    """Return for each pair whether the outline overlaps a convex polygon, or is nearer to it than `away` metres.
+
+    The polygon's corners are counter-clockwise; some may be equal. If two convex polygons do not overlap, their
+    distance is that of a corner of one from the other, so only corners are measured."""
     front, back, half = body.front, -body.overhang, body.width / 2
     x, y, c, s = (of[:, None] for of in poses)
     dx, dy = cores[:, :, 0] - x, cores[:, :, 1] - y
-    u, v = c * dx + s * dy, c * dy - s * dx  # the polygon's corners in the frame of the outline
+    u, v = c * dx + s * dy, c * dy - s * dx  # corners of the polygon in the frame of the outline
     apart = (u.min(axis=1) > front) | (u.max(axis=1) < back) | (v.min(axis=1) > half) | (v.max(axis=1) < -half)
     du, dv = u - np.minimum(np.maximum(u, back), front), v - np.minimum(np.maximum(v, -half), half)
     least = (du * du + dv * dv).min(axis=1)

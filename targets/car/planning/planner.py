@@ -1,4 +1,4 @@
-"""Representations of a planned path, for the planner's messages and for the tracker; and single arcs."""
+"""Representations of a planned path, for the planner's messages and for the tracker, and planning of single arcs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import msgspec
 
 from targets.car.planning.curves import Curve, Piece, Triple, along, seen_from
 
-JUDGE = "targets.car.planning.ask:Asked"
+JUDGE = "targets.car.planning.ask:CarJudge"
 SPACING = 0.05  # maximum metres between the poses of a path
 REVERSE_PRICE = 0.1  # additional cost (m) of each metre in reverse
 GEAR_PRICE = 0.5  # cost (m) of a change of gear, for which the car has to stop
-SHORTEST_ARC = 0.005  # metres; shorter single arcs are not driven
+SHORTEST_ARC = 0.005  # metres; `arc` returns no shorter arcs
 SLIVER = 1e-4  # metres; shorter pieces are left out of a path
 NEAR_POINTS = 0.1  # maximum metres between a path and the polyline of points that represents it
 
@@ -27,12 +27,12 @@ class Wish(msgspec.Struct, frozen=True, array_like=True):
     yaw: float = 0.0  # yaw of the car
     gear: int = 0  # direction in which the car rolls: 1 forward, -1 reverse, 0: it stands
     heading: float | None = None  # required heading at the goal; None: any
-    arrival: float | None = None  # heading at the end of the present path, also tried, so that a new path resembles it
-    patience: float = 0.0  # time limit if no path was found within the question's `seconds`
+    arrival: float | None = None  # heading at the present path's end; also tried, so that a new path resembles it
+    time_limit: float = 0.0  # time limit that counts if no path was found within the question's `seconds`
 
 
 class Plan(msgspec.Struct, frozen=True, array_like=True):
-    """Further data of an answer: the curve. A user's own planner, which plans points only, gives none."""
+    """Further data of an answer: the curve. Answers of a user's own planner have points only, and no Plan."""
 
     start: Triple
     pieces: tuple[Piece, ...]
@@ -72,18 +72,18 @@ class Area:
         return self.west <= x <= self.east and self.south <= y <= self.north
 
     def depth(self, x: float, y: float) -> float:
-        """Return how far from its edge a place in it is."""
+        """Return the distance (m) of a place in the area from the area's edge."""
         return min(x - self.west, self.east - x, y - self.south, self.north - y)
 
     def with_point(self, x: float, y: float) -> Area:
         """Return the smallest area that contains this one and a point.
 
-        It is used because position noise can put a car at the geofence outside of it; the car may then come back in."""
+        It lets a car drive back whose position is outside the geofence because of noise."""
         return Area(min(self.west, x), min(self.south, y), max(self.east, x), max(self.north, y))
 
 
 def segments(curve: Curve) -> list[Segment]:
-    """Return a curve as segments for the tracker."""
+    """Return a curve, split at each change of gear, as segments for the tracker."""
     found = []
     at = curve.start
     for forward, group in groupby((p for p in curve.pieces if abs(p[1]) > SLIVER), key=lambda piece: piece[1] > 0):
@@ -109,10 +109,11 @@ def price(pieces: tuple[Piece, ...], gear: int = 0) -> float:
 
 
 def points(curve: Curve) -> list[Point2]:
-    """Return few points, the first and the last of the curve among them, whose straight connections are nowhere farther
-    from it than NEAR_POINTS, nor it from them. The curve is sampled, and sampled where its pieces meet, too: the tip of
-    a change of gear is a point of the curve like any other. Between two samples an arc bulges by less than
-    SPACING ** 2 / 8 of its curvature, which is left of NEAR_POINTS."""
+    """Return a few points that represent a curve, the curve's first and last point among them.
+
+    The polyline of these points and the curve are nowhere farther than NEAR_POINTS apart. The function samples the
+    curve, also where pieces meet, so it samples each change of gear. Between two samples an arc bulges by less than
+    SPACING ** 2 / 8 times its curvature; the allowed distance is reduced by that."""
     places = [curve.start[:2]]
     at, bend = curve.start, 0.0
     for curvature, way in curve.pieces:
@@ -132,7 +133,7 @@ def points(curve: Curve) -> list[Point2]:
 
 
 def _off(a: Point2, b: Point2, p: Point2) -> float:
-    """Return the distance of p from the straight line between a and b."""
+    """Return the distance (m) of the point p from the straight line between the points a and b."""
     ex, ey, px, py = b[0] - a[0], b[1] - a[1], p[0] - a[0], p[1] - a[1]
     square = ex * ex + ey * ey
     share = max(0.0, min(1.0, (px * ex + py * ey) / square)) if square else 0.0
@@ -142,14 +143,16 @@ def _off(a: Point2, b: Point2, p: Point2) -> float:
 def arc(
     radius: float, start: Triple, goal: Point2, gear: int, tolerance: float, through: Point2 | None = None
 ) -> Curve | None:
-    """One arc without a change of gear that ends within `tolerance` metres of the goal, or None when there is none:
-    what a target that has moved by centimetres calls for. `gear` 0 leaves the gear open. The arc is the one
-    through the goal, or `through` another point beyond it, as far as the turning radius allows."""
+    """Return one arc in one gear that ends within `tolerance` metres of the goal; None if there is none.
+
+    It serves a target that has moved by centimetres. `gear`: 1 forward, -1 reverse, 0 either. The arc passes through
+    the goal, or through the point `through` beyond it, as far as the turning radius (m) allows."""
     ahead, aside, _ = seen_from(start, (*(goal if through is None else through), 0.0))
     bend = max(-1 / radius, min(1 / radius, 2 * aside / max(math.hypot(ahead, aside), 1e-9) ** 2))
-    bend = math.copysign(max(abs(bend), 1e-6), bend)  # a straight line is an arc of 1000 km
+    bend = math.copysign(max(abs(bend), 1e-6), bend)  # a straight line is represented by an arc of 1000 km radius
     ahead, aside, _ = seen_from(start, (*goal, 0.0))
-    way = math.atan2(bend * ahead, 1 - bend * aside) / bend  # the place on it that is nearest to the goal
+    # Signed length (m) of the arc up to its place nearest to the goal.
+    way = math.atan2(bend * ahead, 1 - bend * aside) / bend
     if abs(way) < SHORTEST_ARC or gear * way < 0 or abs(way) > math.pi / 2 * radius:
         return None
     curve = Curve(start, ((bend, way),))

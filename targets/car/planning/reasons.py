@@ -1,4 +1,4 @@
-"""Reasons why a car has no way to its target: the planner's answer, or an obstacle on the planned way."""
+"""Reasons why a car has no path to its target: the planner's answer, or an obstacle on the planned path."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from targets.car.planning.planner import Point2
 from targets.car.planning.shapes import Footprint, Shape
 from targets.planning.world import Path
 
-SAME = 0.02  # metres within which two targets are one
-ANOTHER = "another robot's path"  # as the planner calls what another robot has published
+SAME = 0.02  # metres: targets within this distance count as one target
+ANOTHER = "another robot's path"  # the planner's name of an obstacle that is another robot's published path
 _POINT = Footprint(0.0, 0.0, 0.0)
 
 
 class NoWay:
-    """Reason why there is no path to a target. Places in metres, local ENU.
+    """Reason why the car has no path to its target. Places in metres, local ENU.
 
-    `why`: the target and the reason, in words; "" while there is a path."""
+    `why`: the target and the reason, in words; "" while the car has a path."""
 
     def __init__(self) -> None:
         self.why = ""
-        self._target: Point2 | None = None  # for which no way was found
+        self._target: Point2 | None = None  # the target to which no path was found
         self._tries = 0
         self._since = 0.0
 
@@ -47,8 +47,10 @@ class NoWay:
 def unreachable(
     start: Point2, target: Point2, reason: str, fixed: Iterable[Shape], others: Mapping[str, Path], clearance: float
 ) -> str:
-    """Why the planner found no way from `start` to `target`, to follow the target's name; `reason` is the planner's own
-    and may be empty, `fixed` are the obstacles of the fleet file, `others` the published paths by robot."""
+    """Return why the planner found no path from `start` to `target`, as words that follow the target's name.
+
+    `reason`: the planner's reason, may be empty. `fixed`: obstacles of the fleet file. `others`: robot's name -> its
+    published path. `clearance`: in metres."""
     inside = next((shape.name for shape in fixed if _POINT.distance(*target, 0.0, shape) <= 0.0), "")
     if inside:
         return f"lies inside {inside}"
@@ -73,5 +75,5 @@ def _named(target: Point2) -> str:
 
 
 def _placed(place: Point2) -> str:
-    x, y = (round(c, 2) + 0.0 for c in place)  # + 0.0: no -0.00
+    x, y = (round(c, 2) + 0.0 for c in place)  # adding 0.0 turns -0.0 into 0.0
     return f"({x:.2f}, {y:.2f})"

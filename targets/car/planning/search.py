@@ -1,10 +1,11 @@
-"""Anytime search for ways that a car can drive: a single curve, or a way of a lattice, made short by short cuts.
+"""Anytime search for paths that a car can drive: a single curve, or a lattice's path that short cuts make cheaper.
 
-`Search.ways` is one sequence of small units of work. It depends on the question alone, and a budget only ends it: so a
-larger budget finds every way that a smaller one finds, and answers one that is at least as cheap.
+`Search.paths` does its work in small units. Their sequence depends on the task alone; a time limit only ends it. So a
+larger time limit finds every path that a smaller one finds, and its answer costs at most as much.
 
-OMPL measures curves and grows the trees of RRT* (ompl_space.py); the curves themselves (`curves.py`), and whether one
-is clear (`ground.py`), are ours. Where OMPL has no wheel, the curves' own lengths measure, which takes longer.
+OMPL measures the lengths of curves and grows the trees of RRT* (`ompl_space.py`). `curves.py` computes the curves, and
+`ground.py` checks them for collisions. On a Python without a wheel of OMPL, `curves.py` also measures lengths, more
+slowly.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from typing import TYPE_CHECKING
 
 from targets.car.planning.curves import Curve, Piece, Triple, dubins, reeds_shepp
 from targets.car.planning.field import Field
-from targets.car.planning.ground import PAD, Way
-from targets.car.planning.lattice import Aim, Lattice
+from targets.car.planning.ground import PAD, Terrain
+from targets.car.planning.lattice import Lattice, SearchGoal
 from targets.car.planning.planner import Area, Point2, price
 from targets.planning import own_trees
 from targets.planning.limit import Limit
@@ -27,23 +28,24 @@ from targets.planning.limit import Limit
 if TYPE_CHECKING:
     from targets.car.planning.ompl_space import OmplSpace
 
-HEADINGS = 24  # candidates at the goal, besides those at which the shortest simple turns arrive
-DETOUR = 1.6  # a single curve that is so much longer than the shortest is not worth its time; and a turn more
-WAITS = 4.0, 1.5  # of two lattices: see Lattice
-ALONE = 40  # batches of the first one before the second takes turns with it
-UNIT = 8  # short cuts that are tried in one unit of work
-TRIES = 150  # short cuts of one way that are tried in vain before another way is looked for
-WORTH = 1.3  # a way that costs more than so many times the first one is not worth short cuts
-SHOTS = 3  # curves to a place that are tried from a pose of the lattice
-LEAST_CUT = 0.1  # metres: a way between two poses that is shorter is left alone
-GAIN = 1e-3  # metres of price that make a short cut one
-FORWARDS = 0.3  # of the short cuts are tried without reverse gear, which may be cheaper
+HEADINGS = 24  # number of evenly spaced headings that are tried at the goal
+DETOUR = 1.6  # a single curve longer than this times the shortest curve, plus a full circle, is not tried
+WAITS = 4.0, 1.5  # `wait` of the two lattices, in turning radii
+ALONE = 40  # batches of the first lattice before both lattices alternate
+UNIT = 8  # short cuts tried in one unit of work
+TRIES = 150  # unsuccessful short cuts of one path in a row, after which the search for other paths goes on
+WORTH = 1.3  # a path that costs more than this times the cheapest one of a lattice is not shortened
+SHOTS = 3  # maximum number of curves to the goal that are tried from one pose of a lattice
+LEAST_CUT = 0.1  # metres; a shorter stretch of a path is not replaced by a short cut
+GAIN = 1e-3  # metres by which a short cut must lower the price
+FORWARDS = 0.3  # share of the short cuts that are tried without reverse gear, because they may be cheaper
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """From a pose to a place, at one of these headings. `gear` is the direction in which the car rolls (0: it
-    stands)."""
+    """One task for a search: a path from `start` to `goal` that ends at one of the `headings` (rad).
+
+    `gear`: direction in which the car rolls at the start (1 forward, -1 reverse, 0: it stands)."""
 
     start: Triple
     goal: Point2
@@ -52,7 +54,7 @@ class Task:
 
 
 class Space:
-    """The poses of a car, and the shortest curves between them."""
+    """Poses of a car and the shortest curves between them, with the reverse gear if `reverse`."""
 
     def __init__(self, radius: float, reverse: bool, area: Area) -> None:
         self.radius, self.reverse = radius, reverse
@@ -60,7 +62,7 @@ class Space:
         self._solve: Callable[[Triple, Triple, float, float | None], Curve] = reeds_shepp if reverse else dubins
 
     def distance(self, a: Triple, b: Triple) -> float:
-        """Return the length of the shortest curve (m)."""
+        """Return the length (m) of the shortest curve from one pose to another."""
         return self._solve(a, b, self.radius, None).length if self.ompl is None else self.ompl.distance(a, b)
 
     def curve(self, a: Triple, b: Triple, length: float | None = None) -> Curve:
@@ -78,7 +80,9 @@ def _ompl_space(radius: float, reverse: bool, area: Area) -> OmplSpace | None:
 
 
 class Search:
-    """For one car in one world. With a `seed` and `iterations` in the Limits, the answer depends on the task alone."""
+    """Path search for one car in one world.
+
+    If a `seed` is given and time limits count iterations, the answer depends on the task alone."""
 
     def __init__(self, radius: float, reverse: bool, area: Area, seed: int | None) -> None:
         self._radius, self._seed, self._area = radius, seed, area
@@ -87,10 +91,12 @@ class Search:
         self._space = self._spaces[-1]
 
     def headings(self, start: Triple, goal: Point2) -> Iterator[float]:
-        """Those at which a way may end that may end at any: all around, and those of the shortest simple turns."""
+        """Yield headings (rad) to try at the goal if the task requires none.
+
+        They are HEADINGS evenly spaced ones, and those at which one turn and a straight line arrive."""
         yield from (start[2] + i * 2 * math.pi / HEADINGS for i in range(HEADINGS))
         x, y, yaw = start
-        for side in (1, -1):  # one turn and a straight line, to either side and in either gear
+        for side in (1, -1):  # one turn to either side, then a straight line; in either gear
             cx, cy = x - side * self._radius * math.sin(yaw), y + side * self._radius * math.cos(yaw)
             away = math.hypot(goal[0] - cx, goal[1] - cy)
             if away > self._radius:
@@ -100,8 +106,8 @@ class Search:
                 if self._space.reverse:
                     yield bearing - side * aside + math.pi
 
-    def direct(self, task: Task, way: Way) -> Curve | None:
-        """Return the cheapest collision-free single curve."""
+    def direct(self, task: Task, terrain: Terrain) -> Curve | None:
+        """Return the cheapest collision-free single curve to the goal; None if there is none."""
         curves = [
             (space.distance(task.start, (*task.goal, heading)), heading, i)
             for i, space in enumerate(self._spaces)
@@ -111,32 +117,36 @@ class Search:
         best, least = None, math.inf
         for length, heading, i in curves:
             if length >= least or length > DETOUR * curves[0][0] + 2 * math.pi * self._radius:
-                break  # a price is never below the length: nothing better can follow
+                break  # a price is at least the length, and all further curves are longer
             curve = self._spaces[i].curve(task.start, (*task.goal, heading), length)
             cost = price(curve.pieces, task.gear)
-            if cost < least and way.clear(curve):
+            if cost < least and terrain.clear(curve):
                 best, least = curve, cost
         return best
 
-    def ways(self, task: Task, way: Way) -> Iterator[Curve | None]:
-        """Yield after each unit of work: a way that is cheaper than all before, or None. End when nothing is left."""
+    def paths(self, task: Task, terrain: Terrain) -> Iterator[Curve | None]:
+        """Yield after each unit of work a path that is cheaper than all earlier ones, or None.
+
+        The iteration ends when a lattice has no pose left to expand."""
         least, dice = math.inf, random.Random(self._seed or 0)
         most = math.inf
-        for found in self._explored(task, way):
-            if found is not None and (cost := price(found.pieces, task.gear)) < most and way.clear(found, 0.0):
+        for found in self._explored(task, terrain):
+            if found is not None and (cost := price(found.pieces, task.gear)) < most and terrain.clear(found, 0.0):
                 most = min(most, WORTH * cost)
                 if cost < least:
                     least = cost
                     yield found
-                for curve in self._shortened(found, task, way, dice):
+                for curve in self._shortened(found, task, terrain, dice):
                     cheaper = price(curve.pieces, task.gear) < least
                     least = min(least, price(curve.pieces, task.gear))
                     yield curve if cheaper else None
             yield None
 
-    def _explored(self, task: Task, way: Way) -> Iterator[Curve | None]:
-        """Yield what lattices hold, after each batch. The first nearly always is the sooner one; where it looks at too
-        many coarse cells before it looks closer, the second one has a way."""
+    def _explored(self, task: Task, terrain: Terrain) -> Iterator[Curve | None]:
+        """Yield after each batch of a lattice the path that it found, or None.
+
+        The first lattice nearly always finds a path sooner. The second one, with a shorter wait, finds paths where the
+        first one explores too many large cells before it turns to small cells."""
         goals = [(*task.goal, heading) for heading in task.headings]
         distance = self._space.distance
 
@@ -144,9 +154,9 @@ class Search:
             for length, goal in sorted((distance(at, goal), goal) for goal in goals)[:SHOTS]:
                 yield self._space.curve(at, goal, length)
 
-        aim = Aim(task.goal, Field(task.goal, way.cells, way.passable()), shots)
+        aim = SearchGoal(task.goal, Field(task.goal, terrain.cells, terrain.passable()), shots)
         reverse = self._space.reverse
-        lattices = [Lattice(task.start, self._radius, reverse, way, aim, wait).explore() for wait in WAITS]
+        lattices = [Lattice(task.start, self._radius, reverse, terrain, aim, wait).explore() for wait in WAITS]
         for number in count():
             lattice = lattices[0 if number < ALONE else number % 2]
             try:
@@ -155,18 +165,18 @@ class Search:
                 return
             yield None if pieces is None else Curve(task.start, merged(pieces))
 
-    def _shortened(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Iterator[Curve]:
-        """Yield the same way after each unit of short cuts, as far as they are clear and cheaper."""
+    def _shortened(self, curve: Curve, task: Task, terrain: Terrain, dice: random.Random) -> Iterator[Curve]:
+        """Yield the path after each unit of short cuts. A short cut is used if it is clear and cheaper."""
         vain = 0
         while vain < TRIES:
             for _ in range(UNIT):
-                cut = self._cut(curve, task, way, dice)
+                cut = self._cut(curve, task, terrain, dice)
                 vain = 0 if cut is not None else vain + 1
                 curve = curve if cut is None else cut
             yield curve
 
-    def _cut(self, curve: Curve, task: Task, way: Way, dice: random.Random) -> Curve | None:
-        """Return the way with one random short cut, if that is clear and cheaper."""
+    def _cut(self, curve: Curve, task: Task, terrain: Terrain, dice: random.Random) -> Curve | None:
+        """Return the path with one random short cut; None if the short cut is not clear or not cheaper."""
         begin, end = sorted((dice.uniform(-0.2, 1.2), dice.uniform(-0.2, 1.2)))
         begin, end = max(0.0, begin) * curve.length, min(1.0, end) * curve.length
         if end - begin < LEAST_CUT:
@@ -179,30 +189,32 @@ class Search:
             return None
         cut = space.curve(a, b, length)
         pieces = merged((*curve.between(0.0, begin), *cut.pieces, *curve.between(end, curve.length)))
-        if price(pieces, task.gear) > least - GAIN or not way.clear(cut):
+        if price(pieces, task.gear) > least - GAIN or not terrain.clear(cut):
             return None
         whole = Curve(curve.start, pieces)
-        return whole if way.clear(whole, 0.0) else None
+        return whole if terrain.clear(whole, 0.0) else None
 
-    def grown(self, task: Task, way: Way, over: Limit) -> Curve | None:
-        """Return what RRT* finds. It needs OMPL."""
+    def grown(self, task: Task, terrain: Terrain, over: Limit) -> Curve | None:
+        """Return the path that OMPL's RRT* finds until `over`; None if it finds none. Needs OMPL."""
         space = self._space
         assert space.ompl is not None, own_trees.NEEDS_OMPL
 
         def clear(a: Triple, b: Triple, length: float) -> bool:
-            return way.slack(*b) >= PAD and way.clear(space.curve(a, b, length))
+            return terrain.slack(*b) >= PAD and terrain.clear(space.curve(a, b, length))
 
         goals = [(*task.goal, heading) for heading in task.headings]
         poses = space.ompl.grown(task.start, goals, clear, over, self._seed)
-        return None if poses is None else self._joined(task.start, poses, way)
+        return None if poses is None else self._joined(task.start, poses, terrain)
 
-    def _joined(self, start: Triple, poses: list[Triple], way: Way) -> Curve | None:
-        """Return a solution as one curve. Of two equally short curves, a tree may have looked at the other one."""
+    def _joined(self, start: Triple, poses: list[Triple], terrain: Terrain) -> Curve | None:
+        """Return the poses of an RRT* solution, joined to one curve; None if a joint is not clear.
+
+        A joint may be obstructed, because the tree may have checked another curve of equal length."""
         pieces: list[Piece] = []
         at = start
         for pose in poses:
             curve = self._space.curve(at, pose)
-            if not way.clear(curve):
+            if not terrain.clear(curve):
                 return None
             pieces += curve.pieces
             at = curve.end
@@ -210,7 +222,7 @@ class Search:
 
 
 def merged(pieces: list[Piece] | tuple[Piece, ...]) -> tuple[Piece, ...]:
-    """Return the curve with neighbouring pieces of equal curvature and direction merged."""
+    """Return the pieces with neighbours of equal curvature and direction merged."""
     found: list[Piece] = []
     for curvature, way in pieces:
         if found and found[-1][0] == curvature and found[-1][1] * way > 0:

@@ -17,7 +17,7 @@ from targets.planning.room import rectangles
 from targets.planning.world import Path, Scene
 
 Place = tuple[float, float]
-Core = tuple[Place, ...]  # corners, counter-clockwise; one or two are a point and a line
+Core = tuple[Place, ...]  # corners, counter-clockwise; one corner is a point, two are a line
 Bounds = tuple[float, float, float, float]  # west, south, east, north
 
 NEXT = 0.05  # metres beyond the clearance within which a grid cell counts as near to the start
@@ -26,7 +26,7 @@ OVERLAP = -1.0  # returned as the distance (m) of a shape that overlaps the foot
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Set of the places within `radius` (m) of a convex core, with its bounding box.
+    """Set of the places within `radius` (m) of a convex core, with the bounding box of this set.
 
     `name` is for messages. `upright`: the core is an axis-parallel box."""
 
@@ -47,7 +47,7 @@ class Footprint:
 
     length: float
     width: float
-    overhang: float  # behind the rear axle
+    overhang: float  # length of the part behind the rear axle
 
     @property
     def front(self) -> float:
@@ -55,7 +55,7 @@ class Footprint:
 
     @property
     def reach(self) -> float:
-        """Distance of the outline's farthest corner from the reference point."""
+        """Distance (m) of the outline's farthest corner from the reference point, the rear axle's middle."""
         return math.hypot(max(self.front, self.overhang), self.width / 2)
 
     def pace(self, curvature: float) -> float:
@@ -63,7 +63,7 @@ class Footprint:
         return math.hypot(1 + curvature * self.width / 2, curvature * max(self.front, self.overhang))
 
     def distance(self, x: float, y: float, yaw: float, shape: Shape) -> float:
-        """Return the exact distance of the outline at a pose from a shape; below 0 if they overlap."""
+        """Return the exact distance (m) of the outline at a pose from a shape; below 0 if they overlap."""
         c, s = math.cos(yaw), math.sin(yaw)
         if shape.upright:
             gap = _to_box(self, x, y, c, s, shape.bounds)
@@ -80,7 +80,9 @@ class Footprint:
 
 
 def _to_box(body: Footprint, x: float, y: float, c: float, s: float, bounds: Bounds) -> float:
-    """As `_to_polygon` for a box along the axes: written out, as most of the time is spent here."""
+    """Return the distance (m) of the outline from an axis-parallel box; 0 if they overlap.
+
+    This is `_to_polygon`, written out for speed: most of the time of a collision check is spent on boxes."""
     west, south, east, north = bounds
     front, back, half = body.front, -body.overhang, body.width / 2
     best = math.inf
@@ -114,7 +116,9 @@ def _to_point(body: Footprint, px: float, py: float) -> float:
 
 
 def _to_line(body: Footprint, a: Place, b: Place) -> float:
-    """As `_to_polygon` for two corners: another robot's way, which is looked at again and again."""
+    """Return the distance (m) of the outline from a line; 0 if they overlap.
+
+    This is `_to_polygon`, written out for speed: lines of other robots' paths are checked very often."""
     front, back, half = body.front, -body.overhang, body.width / 2
     (ax, ay), (bx, by) = a, b
     ex, ey = bx - ax, by - ay
@@ -127,7 +131,7 @@ def _to_line(body: Footprint, a: Place, b: Place) -> float:
     best = min(best, dx * dx + dy * dy)
     apart = (ax > front and bx > front) or (ax < back and bx < back)
     apart = apart or (ay > half and by > half) or (ay < -half and by < -half)
-    left = right = True  # whether all of the footprint is on that side of the line
+    left = right = True  # whether the whole footprint is on the left, or right, of the line
     for cx, cy in ((back, -half), (front, -half), (front, half), (back, half)):
         rx, ry = cx - ax, cy - ay
         aside = rx * ey - ry * ex
@@ -142,7 +146,9 @@ def _to_line(body: Footprint, a: Place, b: Place) -> float:
 
 
 def _to_polygon(body: Footprint, corners: list[Place]) -> float:
-    """0 when the two overlap. Of two convex bodies that are apart, a corner of one is nearest to the other."""
+    """Return the distance (m) of the outline from a convex polygon; 0 if they overlap.
+
+    If two convex polygons do not overlap, their distance is that of a corner of one from the other."""
     half = body.width / 2
     own = ((-body.overhang, -half), (body.front, -half), (body.front, half), (-body.overhang, half))
     best = math.inf
@@ -157,7 +163,7 @@ def _to_polygon(body: Footprint, corners: list[Place]) -> float:
         square = ex * ex + ey * ey
         if square == 0.0:
             continue
-        beyond = True  # whether all of the footprint is on the outer side of this edge
+        beyond = True  # whether the whole footprint is on the outer side of this edge
         for cx, cy in own:
             rx, ry = cx - ax, cy - ay
             beyond = beyond and rx * ey - ry * ex > 0
@@ -168,36 +174,36 @@ def _to_polygon(body: Footprint, corners: list[Place]) -> float:
 
 
 def standing(obstacles: Iterable[Obstacle], height: float) -> list[Shape]:
-    """Return the shapes of the fleet file's obstacles that a car of this height meets, named by their number."""
+    """Return the shapes of the fleet file's obstacles, named by number, without those above the car's height."""
     return [shape for number, body in enumerate(obstacles) for shape in _shapes(body, height, f"obstacle {number}")]
 
 
 def named(scene: Scene, body: Footprint, start: Place, clearance: float) -> Iterator[Shape]:
     """Yield shapes of the obstacles that a program passes, and of other robots' paths, except those above the car.
 
-    A program's obstacles count as infinitely high. Other robots' paths are widened by this car's reach. Touching cells
-    are joined to one shape. Cells near the start stay single, because the lowered distance of a shape near the start
-    must apply to these cells only, and not to a whole wall."""
+    A program's obstacles count as infinitely high. Other robots' paths are widened by this car's reach. Grid cells that
+    touch are joined to one shape. Cells near the start stay single: a path may keep less distance from a shape that is
+    near the start, and this must apply to the near cells only, not to a whole wall."""
     cells: dict[float, set[tuple[int, int]]] = {}
     reach = body.reach + clearance + NEXT
     for grid in scene.grids:
         x, y, size = grid.x, grid.y, grid.size
         if max(abs((x + 0.5) * size - start[0]), abs((y + 0.5) * size - start[1])) < reach + size:
-            yield _box(x * size, y * size, (x + 1) * size, (y + 1) * size, "what the program named")
+            yield _box(x * size, y * size, (x + 1) * size, (y + 1) * size, "an obstacle that the program named")
         else:
             cells.setdefault(size, set()).add((x, y))
     for size, places in cells.items():
         for x, y, right, upper in rectangles(places):
-            yield _box(x * size, y * size, right * size, upper * size, "what the program named")
+            yield _box(x * size, y * size, right * size, upper * size, "an obstacle that the program named")
     for p in scene.points:
-        yield Shape(((p.x, p.y),), 0.0, "what the program named")
+        yield Shape(((p.x, p.y),), 0.0, "an obstacle that the program named")
     for path in scene.others:
-        yield from _ways(path, body.reach)
+        yield from _path_shapes(path, body.reach)
 
 
-def _ways(path: Path, reach: float) -> Iterator[Shape]:
+def _path_shapes(path: Path, reach: float) -> Iterator[Shape]:
     for p, q in pairwise(path if len(path) != 1 else path * 2):
-        if min(p.z, q.z) > 2 * reach:  # as far above as a car would be kept away beside
+        if min(p.z, q.z) > 2 * reach:  # a path that is higher than this does not concern a car
             continue
         core = ((p.x, p.y),) if (p.x, p.y) == (q.x, q.y) else ((p.x, p.y), (q.x, q.y))
         yield Shape(core, reach, "another robot's path")
@@ -241,7 +247,7 @@ def _cut(corners: list[Point], low: float, high: float) -> list[Point]:
 
 
 def _outline(corners: list[Point]) -> Core:
-    """Seen from above, counter-clockwise; what is upright is a line there."""
+    """Return the outline of a polygon seen from above, counter-clockwise. An upright polygon becomes a line."""
     places = [(p.x, p.y) for p in corners]
     area = sum(ax * by - bx * ay for (ax, ay), (bx, by) in pairwise((*places, places[0])))
     return tuple(places if area >= 0 else places[::-1])

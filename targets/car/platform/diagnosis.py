@@ -20,12 +20,12 @@ from targets.car.drive.links import Links
 from targets.car.drive.watchdog import LATE
 
 STALE = 0.3  # seconds without a position sample after which the car brakes
-_STEP, _STEPS = 0.05, 60  # seconds of one poll, and maximum number of polls of a check
+_STEP, _STEPS = 0.05, 60  # seconds from poll to poll, and maximum number of polls of a check
 _DRIVE_STEPS = 110  # polls to wait for the drive's answer; a silent drive raises Unready after 5 s
-_CHECK_STEPS = 100  # further polls in which a drive that answers is asked for its parameters
+_CHECK_STEPS = 100  # maximum number of further polls, in which an answering drive is asked for its parameters
 _WATCHED = 1.0  # seconds for which a position feed is measured
 LEAST_RATE = 10.0  # Hz; a position source with a lower rate gets a warning
-LEAST_STEERING = 0.8  # share of max_steering that the servo's range must allow; below, there is a warning
+LEAST_STEERING = 0.8  # share of max_steering that the servo's range must allow; a smaller share gives a warning
 MOST_ERPM = 100_000.0  # default of l_max_erpm in the VESC firmware
 
 
@@ -39,18 +39,18 @@ def limits(settings: CarSettings, fence: Box) -> Finding:
     pace = f"{share:.0%} of the throttle" if settings.is_rover else f"{erpm:.0f} ERPM"
     told = f"turning radius {radius:.2f} m, {settings.max_speed:g} m/s are {pace}"
     if 2 * radius > room:
-        hint = "it cannot turn round: look at wheelbase, max_steering, the servo's gain and offset, and the geofence"
-        return Finding("limits", "fail", told, f"a circle that fits into the {room:g} m of the geofence", hint)
+        hint = "the car cannot turn round: check wheelbase, max_steering, the servo's gain and offset, the geofence"
+        return Finding("limits", "fail", told, f"a turning circle that fits into the geofence, {room:g} m wide", hint)
     if settings.braking < BRAKING * settings.max_acceleration:
         slower = f"brakes with {settings.braking:g} m/s^2, {told}"
-        hint = "it would be driven as if it braked better than it does: lower max_acceleration, or mend the brakes"
+        hint = "the planned braking is harder than the brakes allow: lower max_acceleration, or repair the brakes"
         return Finding("limits", "fail", slower, f"{BRAKING * settings.max_acceleration:g} m/s^2 or more", hint)
     if settings.steering_limit < LEAST_STEERING * settings.max_steering:
-        hint = "the servo's range ends before the wheels': look at steering_to_servo_gain and steering_to_servo_offset"
+        hint = "the servo cannot steer that far: check steering_to_servo_gain and steering_to_servo_offset"
         steering = f"steers {settings.steering_limit:.2f} rad, {told}"
         return Finding("limits", "warn", steering, f"max_steering, {settings.max_steering:g} rad", hint)
     if erpm > MOST_ERPM:
-        hint = "a VESC refuses more as delivered: look at max_speed and speed_to_erpm_gain"
+        hint = "a VESC with default settings refuses more: check max_speed and speed_to_erpm_gain"
         return Finding("limits", "warn", told, f"{MOST_ERPM:.0f} ERPM or less", hint)
     return Finding("limits", "ok", told)
 
@@ -64,8 +64,8 @@ def slow(lag: float) -> str:
     )
 
 
-def lag_findings(lag: float | None) -> list[Finding]:
-    """Check the motor's lag that was measured when the car drove last; no check if none was stored."""
+def check_lag(lag: float | None) -> list[Finding]:
+    """Check the motor's lag that was measured when the car drove last; return no check without a stored lag."""
     if lag is None:
         return []
     told = f"{lag:.1f} s when the car drove last"
@@ -74,8 +74,8 @@ def lag_findings(lag: float | None) -> list[Finding]:
     return [Finding("lag", "ok", told)]
 
 
-def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Check that the drive answers and reports no fault, and its parameters. Opens and closes the drive."""
+def check_drive(settings: CarSettings, links: Links, frame: LocalFrame) -> list[Finding]:
+    """Check that the drive answers, reports no fault and has right parameters. Opens and closes the drive."""
     try:
         drive = opened(settings, links, frame)
     except Unready as error:
@@ -95,21 +95,23 @@ def drive_findings(settings: CarSettings, links: Links, frame: LocalFrame) -> li
     finally:
         drive.close(standing=True)
     if not drive.heard:
-        return [Finding("drive", "fail", drive.blocked, "an answer", "is it switched on, and `drive` right?")]
+        return [
+            Finding("drive", "fail", drive.blocked, "an answer", "switch the drive on, and check the setting `drive`")
+        ]
     return [_answering(drive), *(checked or [])]
 
 
 def _answering(drive: Drive) -> Finding:
     if drive.fault:
-        hint = "it brakes while this lasts; the VESC tool tells what the fault means"
+        hint = "the car brakes while the fault lasts; the VESC tool explains the fault"
         return Finding("drive", "fail", f"{drive.about}, {drive.fault}", "no fault", hint)
     if drive.doubt:
         return Finding("drive", "warn", drive.about, why=drive.doubt)
     return Finding("drive", "ok", drive.about)
 
 
-def watchdog_finding(links: Links) -> Finding:
-    """Check that a watchdog process can be started and answers. It holds the null device meanwhile."""
+def check_watchdog(links: Links) -> Finding:
+    """Check that a watchdog's process starts and answers. During the check, it holds the null device."""
     watch = links.watchdog()
     nothing = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -123,11 +125,11 @@ def watchdog_finding(links: Links) -> Finding:
     finally:
         watch.close(standing=True)
         os.close(nothing)
-    hint = "; ".join(watch.news()) or "is the computer overloaded?"
+    hint = "; ".join(watch.log_lines()) or "check whether the computer is overloaded"
     return Finding("watchdog", "fail", f"does not answer within {_STEPS * _STEP:g} s", "an answer", hint)
 
 
-def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
+def check_feed(settings: CarSettings, fence: Box, feed: Feed, links: Links) -> list[Finding]:
     """Check rate and age of the position feed's samples, and that the position is inside the geofence.
 
     Opens and closes the feed's port."""
@@ -143,7 +145,7 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
             links.wait(_STEP)
             now = i * _STEP
             for datagram in waiting(datagrams):
-                if feed.take(datagram, now) and feed.time is not None:
+                if feed.receive(datagram, now) and feed.time is not None:
                     came.append(now)
                     oldest = max(oldest, now - feed.time)
             if came and now - came[0] >= _WATCHED:
@@ -155,8 +157,8 @@ def feed_findings(settings: CarSettings, fence: Box, feed: Feed, links: Links) -
     return [_arriving(settings, came, oldest, now), _placed(feed.pose.position, fence)]
 
 
-def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
-    """Check rate and place of the positions that the drive itself estimates. Opens and closes the drive."""
+def check_fixes(settings: CarSettings, fence: Box, links: Links, frame: LocalFrame) -> list[Finding]:
+    """Check rate and place of the positions that a rover's drive estimates. Opens and closes the drive."""
     came: list[float] = []
     place = Point()
     try:
@@ -179,29 +181,31 @@ def fix_findings(settings: CarSettings, fence: Box, links: Links, frame: LocalFr
     finally:
         drive.close(standing=True)
     if not came:
-        hint = "does its EKF know its place and heading? Else give the car a position feed"
-        return [Finding("position", "fail", f"the rover has not told where it is for {now:.0f} s", "10 Hz", hint)]
+        hint = "check that the rover's EKF has position and heading, or give the car a position feed"
+        return [Finding("position", "fail", f"the rover has not reported its position for {now:.0f} s", "10 Hz", hint)]
     return [_arriving(settings, came, 0.0, now), _placed(place, fence)]
 
 
 def _placed(p: Point, fence: Box) -> Finding:
     where = f"({p.x:.2f}, {p.y:.2f}) m"
     if not inside(fence, p):
-        hint = "is the base station's origin the fleet's, and does it track this robot's markers?"
+        hint = "check that the base station has the fleet's origin, and tracks this robot's markers"
         return Finding("place", "fail", where, "inside the geofence", hint)
     return Finding("place", "ok", f"{where}, inside the geofence")
 
 
 def _arriving(settings: CarSettings, came: list[float], oldest: float, end: float) -> Finding:
-    """Check rate, age and gaps of samples. Times in s: `came`: arrival of each sample; `end`: end of the check."""
+    """Check rate, age and gaps of position samples.
+
+    Times in seconds. `came`: arrival of each sample; `oldest`: largest age; `end`: end of the check."""
     rate = sum(t > came[0] for t in came) / max(end - came[0], _STEP)
     gap = max(b - a for a, b in pairwise([*came, end]))
     found = f"{rate:.0f} Hz on {settings.position}, {oldest * 1e3:.0f} ms old, longest gap {gap:.2f} s"
     wanted = f"{LEAST_RATE:g} Hz or more, none older than {STALE:g} s"
     if gap + oldest > STALE:
         return Finding(
-            "position", "fail", found, wanted, "the car brakes at each gap: see to the base station's network"
+            "position", "fail", found, wanted, "the car brakes at each gap: check the base station's network"
         )
     if rate < LEAST_RATE:
-        return Finding("position", "warn", found, wanted, "it drives less exactly: raise the base station's rate")
+        return Finding("position", "warn", found, wanted, "the car drives less exactly: raise the base station's rate")
     return Finding("position", "ok", found)

@@ -12,7 +12,7 @@ from koordgen.runtime.vehicle.datagrams import DatagramLink
 from koordgen.runtime.vehicle.simulator_services import Exchange, SimulatorServices, Stream
 from targets.car.base.settings import FROM_DRIVE
 from targets.car.drive.links import ByteLink, Nowhere
-from targets.car.drive.rover import Route
+from targets.car.drive.rover import ConsoleTransport
 from targets.car.drive.watchdog import LAST, LATE, PERIOD
 from targets.car.drive.watched import OFTEN
 from targets.car.platform.platform import Car
@@ -21,9 +21,9 @@ from targets.planning.process import bounded
 
 
 def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Car:
-    """Return a car whose links, clock and planners are the simulator's.
+    """Return a car whose links, clock and planners belong to the simulator.
 
-    See koordgen.runtime.vehicle.simulator_services."""
+    `inside`: the services that the simulator offers."""
     return Car(settings, key, InsideLinks(inside), partial(bounded, inside), inside.now)
 
 
@@ -32,14 +32,14 @@ class InsideLinks:
 
     def __init__(self, inside: SimulatorServices) -> None:
         self._inside = inside
-        self._drive: Callable[[bytes], object] = lambda data: None  # where the watchdog writes to
+        self._drive: Callable[[bytes], object] = lambda data: None  # writes the watchdog's brake command to the drive
 
     def serial(self, device: str) -> ByteLink:
         stream: Stream = self._inside.stream(device)
         self._drive = stream.write
         return stream
 
-    def mavlink(self, url: str) -> Route:
+    def mavlink(self, url: str) -> ConsoleTransport:
         exchange: Exchange = self._inside.exchange(url)
         self._drive = exchange.send
         return Direct(exchange)
@@ -68,8 +68,8 @@ class InsideLinks:
 class Watching:
     """Simulated watchdog: implements `watched.Watch`.
 
-    Like watchdog.py, it brakes if no command arrives for LATE seconds. It brakes for LAST seconds, also if the agent
-    lives. It always answers at once, and runs until the simulation ends."""
+    Like watchdog.py, it brakes if no command arrives for LATE seconds. Unlike watchdog.py, it brakes for LAST seconds
+    even if the agent lives, answers at once, and runs until the simulation ends."""
 
     trouble = ""
 
@@ -79,8 +79,8 @@ class Watching:
         self._due = self._end = math.inf
         self._commanded = -math.inf
         self._braking = False
-        self._told = -math.inf
-        self._news: list[str] = []
+        self._logged_at = -math.inf
+        self._log_lines: list[str] = []
 
     def hold(self, device: int, brake: bytes, address: tuple[Any, ...] | None = None) -> None:
         self._brake = brake
@@ -102,17 +102,19 @@ class Watching:
         self._due = now + PERIOD
         if not self._braking:
             self._braking = True
-            self._tell(now)
+            self._log(now)
         self._write(self._brake)
 
-    def _tell(self, now: float) -> None:
-        if now - self._told >= OFTEN:
+    def _log(self, now: float) -> None:
+        if now - self._logged_at >= OFTEN:
             late = now - self._commanded
-            self._news.append(f"the watchdog braked because no command had come for {late:.2f} s: the agent was stuck")
-            self._told = now
+            self._log_lines.append(
+                f"the watchdog braked because no command had come for {late:.2f} s: the agent was stuck"
+            )
+            self._logged_at = now
 
-    def news(self) -> list[str]:
-        told, self._news = self._news, []
+    def log_lines(self) -> list[str]:
+        told, self._log_lines = self._log_lines, []
         return told
 
     def close(self, standing: bool) -> None:

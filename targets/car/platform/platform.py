@@ -1,4 +1,4 @@
-"""Platform of the car: serves the ports of Motion and MotionWithScan. It is a state machine that is polled at 20 Hz.
+"""Platform of the car: serves the ports of Motion and MotionWithScan as a state machine that is polled at 20 Hz.
 
 `position` is the middle of the rear axle, in local ENU, with z = 0. The car brings this point to a target, whose z is
 ignored. The position feed must report this point, too.
@@ -28,28 +28,28 @@ from targets.car.control.mpc import STEP, Command
 from targets.car.control.navigator import STANDING, Navigator
 from targets.car.drive.drive import Drive, opened
 from targets.car.drive.links import Links, RealLinks
-from targets.car.planning.avoidance import Avoidance, MakePlanning
+from targets.car.planning.avoidance import CarAvoidance, MakePlanning
 from targets.car.platform.diagnosis import (
     STALE,
-    drive_findings,
-    feed_findings,
-    fix_findings,
-    lag_findings,
+    check_drive,
+    check_feed,
+    check_fixes,
+    check_lag,
+    check_watchdog,
     limits,
     slow,
-    watchdog_finding,
 )
 from targets.planning.process import Beside
 from targets.planning.route import Route, commanded, passed
 from targets.planning.standstill import Standstill, Unplanned
 
-MODULES = ("Motion", "MotionWithScan")  # one car under two names; the second has a lidar
+MODULES = ("Motion", "MotionWithScan")  # modules of a car without and with a lidar
 WAIT_FOR_FEED = 60.0  # seconds to wait for the first position: a base station may be started after the robots
-JUMPED = 1.0  # seconds in which all position samples jumped, after which the position source counts as failed
+JUMPED = 1.0  # seconds of position samples that all jumped, after which the position source counts as failed
 BLIND_BRAKING = 1.5  # seconds of braking after which a car whose speed is unknown counts as standing
 STILL = 0.3  # seconds at standstill after which a safe stop is complete
-PASSED = 0.4  # metres from an intermediate point at which the car goes on to the next; only the last is reached exactly
-SLACK = 0.005  # seconds by which a poll may come early and still run the controller, because polls jitter
+PASSED = 0.4  # metres from an intermediate point at which the car goes on to the next; only the last point is reached
+SLACK = 0.005  # seconds by which a poll may be early and still run the controller, because polls jitter
 
 
 class Car:
@@ -80,32 +80,32 @@ class Car:
         self._drive: Drive | None = None
         self._navigator: Navigator | None = None
         self._route = Route()
-        self._avoidance = Avoidance(settings, own, planning)
+        self._avoidance = CarAvoidance(settings, own, planning)
         self._standstill = Standstill(settings.safety.missed_action)
         self._now = 0.0
         self._started = 0.0
         self._next_control = -math.inf
         self._still_since: float | None = None
-        self._resting_since: float | None = None
+        self._stopping_since: float | None = None
         self._holding = False
-        self._blocked = ""  # reason why the car brakes, in words; "" if it does not
+        self._blocked = ""  # reason why the car brakes, in words; "" if it does not brake
         self._unplanned = Unplanned()
         self._lag = Lag()
-        self._slow: bool | None = None  # whether the motor's lag was reported as too long; None: not known yet
+        self._slow: bool | None = None  # whether the motor's last estimated lag is too long; None: unknown
         self._stood = False  # whether the car stood when the position source began to jump
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
 
     def diagnose(self) -> list[Finding]:
-        """See Platform."""
-        found = [*drive_findings(self._settings, self._links, self._frame), watchdog_finding(self._links)]
+        """Implement `Platform.diagnose`."""
+        found = [*check_drive(self._settings, self._links, self._frame), check_watchdog(self._links)]
         if self._settings.position == FROM_DRIVE:
-            found += fix_findings(self._settings, self._fence, self._links, self._frame)
+            found += check_fixes(self._settings, self._fence, self._links, self._frame)
         else:
             feed = Feed(self._robot, self._key, self._application)
-            found += feed_findings(self._settings, self._fence, feed, self._links)
+            found += check_feed(self._settings, self._fence, feed, self._links)
         found += [
             limits(self._settings, self._fence),
-            *lag_findings(self._links.remembered()),
+            *check_lag(self._links.remembered()),
             self._loaded(),
             self._avoidance.diagnose(self._links.wait),
         ]
@@ -121,15 +121,16 @@ class Car:
         return Finding("controller", "ok", "the MPC loads")
 
     def start(self, now: float) -> None:
-        self._navigator = self._build()  # before the links: compiling may take seconds, their buffers would fill
+        # Before the links are opened, because their buffers would fill while the solver compiles.
+        self._navigator = self._build()
         if self._navigator.note:
-            self._news.append(self._navigator.note)
+            self._log_lines.append(self._navigator.note)
         self._open()
         self._avoidance.start()
         self._now = self._started = now
 
     def _open(self) -> tuple[Drive, DatagramLink]:
-        """Open the links that are not open yet; the sockets first, because opening a VESC's port can take a moment."""
+        """Open the links that are not open yet; the sockets first, because a VESC's port opens slowly."""
         if self._datagrams is None:
             self._datagrams = self._links.position(self._settings.position)
             self._feed.hear(self._datagrams)
@@ -169,7 +170,7 @@ class Car:
         steering = self._navigator.steering if self._navigator else 0.0
         self._estimator.predict(now, steering)
         for datagram in waiting(datagrams):
-            if self._feed.take(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
+            if self._feed.receive(datagram, now) and self._feed.pose is not None and self._feed.time is not None:
                 self._locate(self._feed.pose, self._feed.time, now)
         for pose, measured in drive.fixes():
             self._locate(pose, measured, now)
@@ -187,7 +188,7 @@ class Car:
         return self._drive, self._datagrams
 
     def _locate(self, pose: Pose, measured: float, now: float) -> None:
-        """Process a sample of the position source. Jumps are rejected and counted."""
+        """Process a sample of the position source. A sample that jumps is rejected and counted."""
         believed = self._estimator.refused(now) == 0.0
         if self._estimator.correct(pose, measured, now):
             return
@@ -197,22 +198,24 @@ class Car:
 
     def _wait_for_positions(self, now: float) -> None:
         waited = now - self._started
-        if self._resting_since is not None:
+        if self._stopping_since is not None:
             return
         if self._estimator.time is None and waited > WAIT_FOR_FEED:
             raise self._no_position(waited)
         if self._estimator.refused(now) <= JUMPED:
             return
         if not self._stood:
-            hint = "does the motion capture system take another body, or its mirror image, for this one?"
+            hint = "check whether the motion capture system confuses this car with another body or its mirror image"
             raise Unready(f"position source jumped: {self._jump} and nothing else came for {JUMPED:g} s", hint)
         self._estimator.begin_anew()
-        self._news.append(f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: accepted")
+        self._log_lines.append(
+            f"the car stood, and the position source jumped by {self._estimator.jumped:.1f} m: accepted"
+        )
 
     def _no_position(self, waited: float) -> Unready:
         if self._settings.position == FROM_DRIVE:
-            hint = "does the rover's EKF have a position and a heading? Else give the car a position feed"
-            return Unready(f"the rover has not told where it is for {waited:.0f} s", hint)
+            hint = "check that the rover's EKF has position and heading, or give the car a position feed"
+            return Unready(f"the rover has not reported its position for {waited:.0f} s", hint)
         return Unready(*self._feed.silent(self._settings.position, waited))
 
     @property
@@ -251,34 +254,34 @@ class Car:
         self._lag.reset()
 
     def _judge_lag(self) -> None:
-        """Log when the motor's lag becomes longer than the controller is designed for, and when it no longer is."""
+        """Log when the motor's lag becomes too long for the controller, and when it is short enough again."""
         lag = self._lag.seconds
         if lag is None or self._slow == is_long(lag):
             return
         before, self._slow = self._slow, is_long(lag)
         self._links.remember(lag)
         if self._slow:
-            self._news.append(slow(lag))
+            self._log_lines.append(slow(lag))
         elif before:
-            self._news.append(f"the motor follows its commands within {lag:.1f} s again")
+            self._log_lines.append(f"the motor follows its commands within {lag:.1f} s again")
 
     def _stands_still(self, navigator: Navigator, drives: bool, now: float) -> bool:
-        """Return whether the car must brake because driving does not move it."""
+        """Return whether the car must brake because it stands still although it is driven."""
         state, target = self._estimator.state, navigator.target
         goal = "no target" if target is None else f"({target[0]:.2f}, {target[1]:.2f})"
         return self._standstill.look(Point(state.x, state.y, 0.0), drives and not navigator.waits, goal, now)
 
     def _ahead(self, command: Command) -> str:
-        """Return the name of what the car could hit, although it brakes, if it obeyed this command; "" if nothing.
+        """Return the name of the geofence or obstacle that the car could not avoid after this command; "" if none.
 
-        It is the geofence, or an obstacle of the fleet file."""
+        The car could not avoid it if it reaches it even if it brakes. Obstacles are those of the fleet file."""
         own, state = self._settings, self._estimator.state
         if not stops_inside(self._fence, state, command, own.braking, own.wheelbase):
             return "the geofence"
         return self._avoidance.ahead(state, braked(state, command, own.braking, own.wheelbase))
 
     def _follow(self, navigator: Navigator) -> None:
-        """Go on to the next point of the path if the car is near the present one."""
+        """Go on to the next point of the commanded path if the car is near the present point."""
         goal, state = self._route.goal, self._estimator.state
         if goal is None or self._route.last or math.dist((state.x, state.y), (goal.x, goal.y)) >= PASSED:
             return
@@ -286,9 +289,9 @@ class Car:
             navigator.go_to((following.x, following.y))
 
     def _obstacle(self, drive: Drive, now: float) -> str:
-        """Return the reason why the car must not drive now, in words; "" if it may."""
-        if self._resting_since is not None:
-            return "at rest" if self.rested else "braking to rest"
+        """Return the reason why the car must not drive now, in words; "" if it may drive."""
+        if self._stopping_since is not None:
+            return "at rest" if self.stopped else "braking to rest"
         if drive.blocked:
             return drive.blocked
         if self._estimator.time is None:
@@ -318,8 +321,8 @@ class Car:
 
     @property
     def stall(self) -> str:
-        """See Platform."""
-        if self._navigator is None or self._resting_since is not None or self._holding:
+        """Implement `Platform.stall`."""
+        if self._navigator is None or self._stopping_since is not None or self._holding:
             return ""
         idle = self._unplanned.why(self._now) if self._navigator.reached else ""
         stall = self._navigator.stall
@@ -345,7 +348,7 @@ class Car:
 
     @property
     def vitals(self) -> Vitals:
-        """See Examined."""
+        """Yaw and battery charge, None if unknown. Implements `Examined.vitals`."""
         known = self._estimator.time is not None
         return Vitals(
             self._estimator.state.yaw if known else None, self._drive.battery if self._drive is not None else None
@@ -358,7 +361,7 @@ class Car:
             self._go(points, self._navigator)
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Resumes. The paths to the points ahead are planned one after another, as for single targets."""
+        """Resume a commanded path: paths to the points ahead are planned one after another. Implements `Resumes`."""
         if self._navigator is None:
             return
         state = self._estimator.state
@@ -369,7 +372,7 @@ class Car:
             flat = tuple(Point(p.x, p.y, 0.0) for p in points)
             self._unplanned.commanded()
             self._avoidance.resumes(points)
-            self._route.take(points)
+            self._route.follow(points)
             self._standstill.command()
             self._route.skip(passed(flat, Point(state.x, state.y, 0.0)))
             if (goal := self._route.goal) is not None:
@@ -378,8 +381,8 @@ class Car:
     def _go(self, points: tuple[Point, ...], navigator: Navigator) -> None:
         """Follow commanded points.
 
-        If the planner has returned these points, follow the drivable path that it planned with them. Otherwise, a path
-        to each point is planned. If the points lead into an obstacle of the fleet file, hold instead, and report it."""
+        If the planner returned these points, follow the drivable path that it planned with them. Otherwise, plan a path
+        to each point. If the points lead into an obstacle of the fleet file, hold and report the obstacle."""
         if points:
             self._unplanned.commanded()
         held = self._avoidance.refusal
@@ -387,7 +390,7 @@ class Car:
             if held:
                 return
             points = ()
-        if not self._route.take(points):
+        if not self._route.follow(points):
             return
         self._standstill.command()
         state, goal = self._estimator.state, self._route.goal
@@ -400,32 +403,35 @@ class Car:
         navigator.follow(curve, state)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. The only callable port is `planner(goal, obstacles)`."""
+        """Call the only callable port, `planner(goal, obstacles)`. Implements `Platform.call`."""
         gear = self._navigator.gear if self._navigator is not None else 0
         path = self._avoidance.plan(self._estimator.state, gear, args[0], args[1] if len(args) > 1 else ())
         self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
         return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
-        """See Platform."""
+        """Implement `Platform.others`."""
         self._avoidance.others(paths)
 
-    def news(self) -> list[str]:
-        """See Platform."""
-        told, self._news = [*self._news, *self._avoidance.news(), *self._feed.news(), *self._standstill.news()], []
-        return told + (self._drive.news() if self._drive is not None else [])
+    def log_lines(self) -> list[str]:
+        """Implement `Platform.log_lines`."""
+        told, self._log_lines = (
+            [*self._log_lines, *self._avoidance.log_lines(), *self._feed.log_lines(), *self._standstill.log_lines()],
+            [],
+        )
+        return told + (self._drive.log_lines() if self._drive is not None else [])
 
     def hold(self, on: bool, now: float) -> None:
         self._holding = on
 
-    def rest(self, now: float) -> None:
-        if self._resting_since is None:
-            self._resting_since = now
+    def stop(self, now: float) -> None:
+        if self._stopping_since is None:
+            self._stopping_since = now
 
     @property
-    def rested(self) -> bool:
-        """True once the car has stood for STILL seconds; if its speed is unknown, once it has braked long enough."""
-        since = self._resting_since
+    def stopped(self) -> bool:
+        """True once the car has stood for STILL seconds, or, with unknown speed, braked for BLIND_BRAKING seconds."""
+        since = self._stopping_since
         if since is None:
             return False
         if self._still_since is not None:
@@ -434,7 +440,7 @@ class Car:
 
     def close(self) -> None:
         if self._drive is not None:
-            self._drive.close(standing=self.rested or self._still_since is not None)
+            self._drive.close(standing=self.stopped or self._still_since is not None)
         if self._datagrams is not None:
             self._datagrams.close()
         self._drive = self._datagrams = None
@@ -443,7 +449,7 @@ class Car:
 
 
 def _notes(settings: Settings) -> Path | None:
-    """Return the file beside the bundle in which the motor's lag is stored; None if nothing is stored."""
+    """Return the file in which the motor's lag is stored; None if the settings name no folder for state."""
     if settings.state is None:
         return None
     return Path(__file__).resolve().parents[4] / settings.state / f"{settings.robot}.lag"

@@ -1,7 +1,7 @@
 """Platform of a car without a motor controller, on a simulated vehicle that follows commanded speed and steering.
 
-For simulations of fidelity `simple`. Everything else is that of the real car: estimator, planner, controller, geofence
-and safe stop.
+It serves simulations of fidelity `simple`. Estimator, planner, controller, geofence and safe stop are those of the real
+car.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from targets.car.platform.platform import Car
 from targets.planning.process import Beside, bounded
 
 
-class Seen(Protocol):
-    """State of the simulated car: position (m) and velocity (m/s) of the middle of the rear axle, ENU; yaw (rad)."""
+class CarTruth(Protocol):
+    """State of the simulated car: position (m) and velocity (m/s) of the rear axle's middle, yaw (rad); local ENU."""
 
     @property
     def position(self) -> tuple[float, float, float]: ...
@@ -39,10 +39,10 @@ class Seen(Protocol):
 
 
 class Driver(Protocol):
-    """Simulated car. It drives on with the last command."""
+    """Interface of a simulated car. The car drives on with the last command."""
 
-    def state(self) -> Seen | None:
-        """Return the state, or None if the position is unknown now."""
+    def state(self) -> CarTruth | None:
+        """Return the car's state; None if its position is unknown now."""
         ...
 
     def drive(self, speed: float, steering: float) -> None: ...
@@ -60,7 +60,7 @@ class BodyDrive:
 
     def __init__(self, body: Driver, braking: float) -> None:
         self._body, self._braking = body, braking
-        self.asked = 0.0  # see Drive
+        self.asked = 0.0  # last commanded speed, m/s
         self._fixes: list[tuple[Pose, float]] = []
 
     def read(self, now: float) -> float | None:
@@ -75,7 +75,7 @@ class BodyDrive:
         """Do nothing: the simulated car reports its state unasked."""
 
     def checks(self, now: float) -> list[Finding]:
-        """See Drive: a simulated car has no parameters to check."""
+        """Return no checks, because a simulated car has no parameters."""
         return []
 
     def fixes(self) -> Sequence[tuple[Pose, float]]:
@@ -89,7 +89,7 @@ class BodyDrive:
     def brake(self, now: float) -> None:
         self._body.brake(self._braking)
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         return []
 
     def close(self, standing: bool) -> None:
@@ -99,7 +99,7 @@ class BodyDrive:
 class SimpleCar(Car):
     """Platform of a simulated car: implements koordgen.runtime.vehicle.platform.Platform.
 
-    `links`: used for lidar scans only."""
+    `links`: used only for lidar scans."""
 
     def __init__(
         self,
@@ -114,7 +114,7 @@ class SimpleCar(Car):
         self._body = body
 
     def diagnose(self) -> list[Finding]:
-        """See Platform: a simulated car has nothing to check."""
+        """Return one result that is always ok, because a simulated car has nothing to check."""
         return [Finding("body", "ok", "a simple one")]
 
     def _open(self) -> tuple[Drive, Nowhere]:
@@ -125,5 +125,5 @@ class SimpleCar(Car):
 
 
 def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, body: Driver) -> SimpleCar:
-    """Return the platform for a simulator that controls time; see koordgen.runtime.vehicle.simulator_services."""
+    """Return the platform for a simulator that controls time. `surroundings`: the services that it offers."""
     return SimpleCar(settings, key, body, InsideLinks(surroundings), partial(bounded, surroundings), surroundings.now)

@@ -1,6 +1,6 @@
 """Firmware facts of ArduCopter (ArduPilot for multicopters), as observed on version 4.7.
 
-Parameters have their names of 4.7, and their older names beside them.
+Each parameter is listed by its name in version 4.7, followed by its name in older versions.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ MODES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
     11: "DRIFT", 13: "SPORT", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 20: "GUIDED_NOGPS", 21: "SMART_RTL",
 }  # fmt: skip
-# First and last AUTOPILOT_VERSION.flight_sw_version of the builds that may spin in flight: 4.7.0 before its release.
-# The number has one byte each for major, minor, patch and type (0: development, 64: alpha, 128: beta, 192: release
-# candidate, 255: release). It does not show which of these builds contain the fix,
+# First and last AUTOPILOT_VERSION.flight_sw_version of the builds that may spin in flight: the pre-releases of 4.7.0.
+# The version number has one byte each for major, minor, patch and type (0: development, 64: alpha, 128: beta, 192:
+# release candidate, 255: release). The number does not show whether a build contains the fix,
 # github.com/ArduPilot/ardupilot/pull/31351.
 SPINNING = (4 << 24 | 7 << 16, 4 << 24 | 7 << 16 | 254)
-SPINS = "else a build of this version may spin in flight without a receiver (ArduPilot issue 31353)"
+SPINS = "else the vehicle may spin in flight without a radio receiver (ArduPilot issue 31353)"
 PARAMETERS = (
     Wanted("FS_GCS_ENABLE", (), (5,), "else the vehicle does not land when the agent dies", vital=True),
     Wanted("MAV_GCS_SYSID", ("SYSID_MYGCS",), (255,), "else the autopilot ignores the agent's heartbeats", vital=True),
@@ -33,19 +33,19 @@ _NO_OWN = (
     Wanted("GPS1_TYPE", ("GPS_TYPE",), (0,), "else the autopilot looks for a GPS"),
     Wanted("COMPASS_ENABLE", (), (0,), "else the EKF uses the compass, which iron indoors disturbs"),
     Wanted("VISO_TYPE", (), (1,), "else the autopilot ignores poses over MAVLink; takes effect at a reboot"),
-    Wanted("EK3_SRC1_POSXY", (), (6,), "else the EKF's position is not the feed's"),
-    Wanted("EK3_SRC1_POSZ", (), (6,), "else the EKF's height is not the feed's"),
-    Wanted("EK3_SRC1_YAW", (), (6,), "else the EKF's heading is not the feed's"),
+    Wanted("EK3_SRC1_POSXY", (), (6,), "else the EKF does not use the position of the feed"),
+    Wanted("EK3_SRC1_POSZ", (), (6,), "else the EKF does not use the height of the feed"),
+    Wanted("EK3_SRC1_YAW", (), (6,), "else the EKF does not use the heading of the feed"),
 )
 POSITIONING = {
     "gps_input": (
         Wanted("GPS1_TYPE", ("GPS_TYPE",), (14,), "else the autopilot ignores positions over MAVLink"),
-        Wanted("GPS1_DELAY_MS", ("GPS_DELAY_MS",), (50,), "with the default, positions err by 0.08 m, not 0.02 m"),
-        Wanted("EK3_SRC1_POSXY", (), (3,), "else the EKF's position is not the feed's"),
-        Wanted("EK3_SRC1_VELXY", (), (3,), "else the EKF's velocity is not the feed's"),
-        Wanted("EK3_SRC1_POSZ", (), (3,), "else the EKF's height is not the feed's"),
-        Wanted("EK3_SRC1_VELZ", (), (3,), "else the EKF's vertical velocity is not the feed's"),
-        Wanted("EK3_SRC1_YAW", (), (2, 3), "else the EKF's heading is not the feed's"),
+        Wanted("GPS1_DELAY_MS", ("GPS_DELAY_MS",), (50,), "the default causes position errors of 0.08 m, not 0.02 m"),
+        Wanted("EK3_SRC1_POSXY", (), (3,), "else the EKF does not use the position of the feed"),
+        Wanted("EK3_SRC1_VELXY", (), (3,), "else the EKF does not use the velocity of the feed"),
+        Wanted("EK3_SRC1_POSZ", (), (3,), "else the EKF does not use the height of the feed"),
+        Wanted("EK3_SRC1_VELZ", (), (3,), "else the EKF does not use the vertical velocity of the feed"),
+        Wanted("EK3_SRC1_YAW", (), (2, 3), "else the EKF does not use the heading of the feed"),
     ),
     "vision": (
         *_NO_OWN,
@@ -77,8 +77,8 @@ ARDUPILOT = Firmware(
         mavlink.MAVLINK_MSG_ID_HEARTBEAT: 4.0,  # more often than the default, because it carries the flight mode
         mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     },
-    # Messages whose absence is no fault. POSITION_TARGET_LOCAL_NED is sent only while there is a setpoint. HEARTBEAT is
-    # always sent, only too seldom. SYS_STATUS is not used for control.
+    # Messages whose absence is no fault. The autopilot sends POSITION_TARGET_LOCAL_NED only while it has a setpoint. It
+    # always sends HEARTBEAT, but without a request too seldom. SYS_STATUS is not used for control.
     occasional=(
         mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,

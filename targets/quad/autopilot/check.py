@@ -1,6 +1,6 @@
-"""Recording of an autopilot's messages for a pre-flight check that takes some seconds and moves nothing.
+"""Recording of an autopilot's messages for a pre-flight check, which takes some seconds.
 
-Messages that the autopilot does not send unasked are requested.
+The check moves nothing. It requests the messages that the autopilot sends only on request.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from targets.quad.autopilot.firmware import Firmware
 from targets.quad.autopilot.telemetry import Streams, Telemetry
 from targets.quad.autopilot.vehicles import identified
 
-SILENCE = 5.0  # seconds without any heartbeat after which the check ends; autopilots send one per second
+SILENCE = 5.0  # seconds without any heartbeat after which the check ends; autopilots send one heartbeat per second
 DEADLINE = 9.5  # seconds within which the first position estimate must arrive
 WATCHED = 3.0  # seconds of recording after the first position estimate, to measure the rates of the message streams
 _PAUSE = 0.05  # seconds between two polls of the link
@@ -46,31 +46,31 @@ class Heard:
 
     link: Link
     telemetry: Telemetry
-    first: dict[int, float] = field(default_factory=dict)  # arrival of the first message
-    last: dict[int, float] = field(default_factory=dict)  # arrival of the last message
-    count: dict[int, int] = field(default_factory=dict)  # number of messages after the first one
-    newest: dict[int, Message] = field(default_factory=dict)  # the last message
+    first: dict[int, float] = field(default_factory=dict)  # message id -> arrival time of the first message
+    last: dict[int, float] = field(default_factory=dict)  # message id -> arrival time of the last message
+    count: dict[int, int] = field(default_factory=dict)  # message id -> number of messages after the first
+    newest: dict[int, Message] = field(default_factory=dict)  # message id -> last message
     parameters: Parameters | None = None
     wall: float = 0.0  # this computer's time of day (seconds since 1970) when the last SYSTEM_TIME arrived
-    began: float = 0.0  # start of the record
-    ended: float = 0.0  # end of the record
-    examined: bool = False  # whether the autopilot was asked to run its pre-arm checks; it reports them as STATUSTEXT
+    began: float = 0.0  # time at which the record started
+    ended: float = 0.0  # time at which the record ended
+    examined: bool = False  # whether the autopilot was asked to run its pre-arm checks and report them as STATUSTEXT
 
     def ask(self) -> None:
         """Request the messages that the autopilot does not stream."""
         for number in SELDOM:
-            self.link.tell(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
+            self.link.send_once(mavlink.MAV_CMD_REQUEST_MESSAGE, number)
 
-    def take(self, message: Message, now: float) -> None:
+    def record(self, message: Message, now: float) -> None:
         """Record one message of the vehicle, received at `now`."""
         number = message.get_msgId()
         self.first.setdefault(number, now)
         self.count[number] = self.count.get(number, -1) + 1
         self.last[number] = now
         self.newest[number] = message
-        self.telemetry.take(message, now)
+        self.telemetry.update(message, now)
         if self.parameters is not None:
-            self.parameters.take(message)
+            self.parameters.handle(message)
 
     def rate(self, message: int) -> float:
         """Return the mean rate of a message (Hz); 0 if fewer than two were received."""
@@ -85,8 +85,8 @@ def listen(
 ) -> Heard:  # fmt: skip
     """Record the autopilot's messages for at most DEADLINE + WATCHED seconds.
 
-    The record ends sooner if no further messages are to be expected. `meanwhile` is called once per poll with the
-    messages received since the poll before, and the time."""
+    The record ends sooner if no further messages are expected. `meanwhile` is called in each poll with the messages
+    that were received since the previous poll, and with the time."""
     heard, streams = Heard(link, Telemetry(frame)), Streams()
     asked, known = -math.inf, math.inf
     begun = now = clock()
@@ -95,7 +95,7 @@ def listen(
         meanwhile(messages, now)
         for message in messages:
             streams.note(message.get_msgId(), now)
-            heard.take(message, now)
+            heard.record(message, now)
             if message.get_msgId() == mavlink.MAVLINK_MSG_ID_SYSTEM_TIME:
                 heard.wall = wall()
         link.greet(now)
@@ -112,7 +112,7 @@ def listen(
                 heard.ask()
             if not heard.examined and (math.isfinite(known) or now - begun >= DEADLINE / 2):
                 heard.examined = True
-                link.tell(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
+                link.send_once(mavlink.MAV_CMD_RUN_PREARM_CHECKS)
         elif now - begun >= SILENCE:
             break
         known = min(known, now) if heard.telemetry.fresh(now) else known
@@ -132,9 +132,9 @@ def coordinates(p: Point) -> str:
 
 
 def misplaced(fence: Box, height: float, p: Point) -> str:
-    """Return why the quad must not take off at p to `height` (m), or "" if it may.
+    """Return the reason why the quad at `p` must not take off to `height` (m), or "" if it may take off.
 
-    It must not take off outside the geofence, nor where the ground is at the flight height or above."""
+    The quad must not take off outside the geofence, or where the ground is at the flight height or above it."""
     q = clamp(fence, p)
     if (q.x, q.y) != (p.x, p.y) or p.z > q.z or p.z < q.z - GROUND_SLACK:
         return (
@@ -147,23 +147,23 @@ def misplaced(fence: Box, height: float, p: Point) -> str:
 
 
 def unheard(url: str, link: Link, seconds: float) -> Unready:
-    """Return the error for an autopilot from which nothing was heard for `seconds`, with a hint on the cause."""
+    """Return the error for an autopilot that has been silent for `seconds`, with a hint on the cause."""
     if link.heard is not None:
         heard = "the autopilot has fallen silent"
     else:
         heard = f"no autopilot{f' of system {link.system}' if link.system else ''} answers"
     others = ", ".join(map(str, sorted(link.others)))
-    hint = "is it powered, and does it send MAVLink to this address or at this baud rate?"
+    hint = "check that the autopilot is powered, and that it sends MAVLink to this address or at this baud rate"
     if others:
-        hint = f"system {others} does: is the setting `system` right?"
+        hint = f"MAVLink system {others} answers: check the robot's setting `system`"
     elif link.garbled:
-        hint = f"{link.garbled} bytes came that are no MAVLink: is the baud rate right, and is it a MAVLink port?"
+        hint = f"{link.garbled} bytes arrived that are no MAVLink: check the baud rate, and that the port sends MAVLink"
     return Unready(f"{heard} on {url} ({seconds:.0f} s)", hint)
 
 
 RIVAL = (
-    f"another ground station sends heartbeats as system {GROUND_STATION} (QGroundControl's own number): while it does, "
-    "the autopilot does not land when this agent dies; give it another number"
+    f"another ground station sends heartbeats as system {GROUND_STATION} (the number of QGroundControl), and so the "
+    "autopilot does not land when this agent dies; give the ground station another number"
 )
 
 

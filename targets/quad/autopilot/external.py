@@ -1,11 +1,11 @@
 """MAVLink messages of external positioning: GPS_INPUT, VISION_POSITION_ESTIMATE and ODOMETRY.
 
-The poses to send are in the fleet's local ENU frame.
+The functions take poses in the fleet's local ENU frame.
 GPS_INPUT is geodetic; its velocity and yaw are in the NED axes at the robot's position.
 VISION_POSITION_ESTIMATE and ODOMETRY are in the NED frame about the autopilot's own EKF origin, which need not be the
 fleet's origin.
 
-Of the attitude, only yaw is measured. Roll and pitch are sent as 0, and the EKF takes them from its own gyros. Values
+A pose's attitude contains the yaw only. Roll and pitch are sent as 0, and the EKF gets them from its own gyros. Values
 that are not finite are never sent, because a NaN in a used field aborts the autopilot's process.
 """
 
@@ -21,23 +21,24 @@ from targets.mavlink.framing import Message
 
 # Start of GPS time (1980-01-06) in Unix time, leap seconds between GPS time and UTC, length of a week; all in seconds.
 GPS_EPOCH, LEAP_SECONDS, WEEK = 315_964_800, 18, 604_800
-# Standard deviations that are reported to the EKF; generous ones for a motion capture system.
-HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # metres, metres, m/s
+# Standard deviations that are reported to the EKF. They are larger than those of a motion capture system.
+HORIZONTAL, VERTICAL, SPEED = 0.02, 0.02, 0.1  # horizontal position (m), vertical position (m), velocity (m/s)
 ANGLE = 0.02  # radians
-_DILUTION, _SATELLITES = 0.5, 16  # dilution of precision and number of satellites: better than arming checks demand
+_DILUTION, _SATELLITES = 0.5, 16  # dilution of precision, number of satellites: better than arming checks demand
+
 # Indices of the diagonal in a 6 x 6 covariance matrix that is sent as its upper triangle, row by row.
 _DIAGONAL = (0, 6, 11, 15, 18, 20)
 
 
 def gps_input(frame: LocalFrame, pose: Pose, velocity: Point, unix: float) -> Message:
-    """Return GPS_INPUT: a fix at `unix` (seconds since 1970) with position, velocity, yaw and their accuracies.
+    """Return GPS_INPUT: a fix with position, velocity, yaw and their accuracies.
 
-    `velocity` is in m/s, ENU."""
+    `velocity`: m/s, ENU. `unix`: time of the fix, seconds since 1970."""
     p = pose.position
     latitude, longitude, altitude = frame.geodetic(p.x, p.y, p.z)
     vn, ve, vd = frame.ned(latitude, longitude, velocity.x, velocity.y, velocity.z)
     north, east, _ = frame.ned(latitude, longitude, math.cos(pose.yaw), math.sin(pose.yaw), 0.0)
-    yaw = round(math.degrees(math.atan2(east, north)) * 100) % 36_000 or 36_000  # 0 would mean that there is none
+    yaw = round(math.degrees(math.atan2(east, north)) * 100) % 36_000 or 36_000  # 0 denotes no yaw
     week, ms = divmod(round((unix - GPS_EPOCH + LEAP_SECONDS) * 1000), WEEK * 1000)
     return mavlink.MAVLink_gps_input_message(
         round(unix * 1e6), 0, 0, ms, week, mavlink.GPS_FIX_TYPE_3D_FIX,
@@ -47,7 +48,9 @@ def gps_input(frame: LocalFrame, pose: Pose, velocity: Point, unix: float) -> Me
 
 
 class Ned:
-    """Conversion from the fleet's ENU frame to the NED frame about an EKF origin (degrees, degrees, metres AMSL)."""
+    """Conversion from the fleet's ENU frame to the NED frame about an EKF origin.
+
+    `latitude`, `longitude` (degrees) and `altitude` (m AMSL) are those of the EKF origin."""
 
     def __init__(self, frame: LocalFrame, latitude: float, longitude: float, altitude: float) -> None:
         self.origin = (latitude, longitude, altitude)
@@ -59,9 +62,9 @@ class Ned:
         return north, east, -up
 
     def direction(self, v: Point, at: Point) -> tuple[float, float, float]:
-        """Convert a velocity or direction at the point `at` from ENU to NED.
+        """Convert a velocity or direction at the point `at` from the fleet's ENU axes to NED axes.
 
-        It is turned to the NED axes at that point first, and from these to the axes of the EKF origin."""
+        The vector is first turned to the NED axes at that point, and then to the NED axes of the EKF origin."""
         latitude, longitude, _ = self._fleet.geodetic(at.x, at.y, at.z)
         east, north, up = self._ekf.turned(latitude, longitude, *self._fleet.ned(latitude, longitude, v.x, v.y, v.z))
         return north, east, -up
@@ -84,11 +87,11 @@ def vision(ned: Ned, pose: Pose, time: float, resets: int) -> Message:
 
 
 def odometry(ned: Ned, pose: Pose, velocity: Point, time: float, resets: int, autopilot: int) -> Message:
-    """Return ODOMETRY for a pose and a velocity (m/s, ENU) that were measured at `time`, as in `vision`.
+    """Return ODOMETRY for a pose and a velocity (m/s, ENU) that were measured at `time`.
 
-    The message carries the velocity in the vehicle's own axes: forward, right, down. ArduPilot accepts the pose in
-    MAV_FRAME_LOCAL_FRD only, and takes that for NED. For PX4, LOCAL_FRD is a frame of unknown heading, so PX4 is sent
-    MAV_FRAME_LOCAL_NED."""
+    `time` and `resets` are those of `vision`. The message carries the velocity in the vehicle's own axes: forward,
+    right, down. ArduPilot accepts a pose in MAV_FRAME_LOCAL_FRD only, and treats this frame as NED. PX4 treats
+    LOCAL_FRD as a frame of unknown heading, so PX4 gets the pose in MAV_FRAME_LOCAL_NED."""
     local = autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     yaw = ned.yaw(pose)
     vn, ve, vd = ned.direction(velocity, pose.position)

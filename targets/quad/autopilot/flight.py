@@ -1,7 +1,8 @@
-"""Flight state machine, from the first heartbeat to the disarmed vehicle, polled over one MAVLink link.
+"""Flight state machine: controls a vehicle from its first heartbeat until it has landed and disarmed.
 
-Each command is repeated until telemetry shows its effect. Once the vehicle is armed, a flight mode that the agent did
-not request means that a pilot or a failsafe took over. The agent then never takes the vehicle back.
+The state machine is polled, and uses one MAVLink link. Each command is repeated until telemetry shows its effect. If an
+armed vehicle is in a flight mode that the agent did not request, a pilot or a failsafe has taken over. The agent then
+does not take the vehicle back.
 """
 
 from __future__ import annotations
@@ -26,18 +27,20 @@ from targets.quad.autopilot.vehicles import identified
 
 SILENCE = 30.0  # seconds without a heartbeat after which the vehicle counts as lost for good
 AT_HEIGHT = 0.3  # metres below the flight height at which the climb counts as complete
-# Seconds from arming within which a disarming before the take-off is attributed to a person or a failsafe. ArduPilot
-# itself disarms a vehicle that does not take off, but only after 10 s (DISARM_DELAY).
+
+# If the vehicle is disarmed before the take-off within this time (s) after arming, a person or a failsafe has disarmed
+# it. ArduPilot itself disarms a vehicle that does not take off only after 10 s (DISARM_DELAY).
 BY_HAND = 5.0
 BLIND = 3.0  # seconds without a position estimate after which a climb is aborted
 STILL = 0.1  # m/s; a slower vehicle in LAND mode counts as touched down
 QUIET = 0.4  # seconds without any message, in flight, after which `progress` reports that the link is silent
+
 # Seconds for which setpoints are sent before the mode that follows them is requested: PX4 leaves OFFBOARD without them.
 CALLING = 1.0
-CLIMB, RISING = 0.5, 0.8  # m/s, and share of the climb limit: take-off setpoints rise at the smaller of both rates
+CLIMB, RISING = 0.5, 0.8  # take-off setpoints rise at CLIMB (m/s), or at RISING times the climb limit if that is less
 CLIMB_SPEED = 2  # SPEED_TYPE_CLIMB_SPEED of DO_CHANGE_SPEED
 ASKED = 4  # requests for a climb limit; if all are refused or unanswered, the vehicle takes off without the limit
-PATIENCE = 5.0  # seconds on the ground after which the agent disarms, if the autopilot's LAND mode does not
+DISARM_AFTER = 5.0  # seconds on the ground after which the agent disarms, if the autopilot's LAND mode does not
 COMMANDS = (
     mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_DO_CHANGE_SPEED,
     mavlink.MAV_CMD_NAV_TAKEOFF,
@@ -45,8 +48,8 @@ COMMANDS = (
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
 
 
-class Phase(enum.Enum):
-    """Phase of a flight. The phases follow each other in this order."""
+class FlightPhase(enum.Enum):
+    """Phases of a flight, in their order."""
 
     CONNECTING = enum.auto()
     ESTIMATING = enum.auto()
@@ -55,7 +58,7 @@ class Phase(enum.Enum):
     CLIMBING = enum.auto()
     FLYING = enum.auto()
     LANDING = enum.auto()
-    RESTED = enum.auto()
+    STOPPED = enum.auto()
 
 
 class Flight:
@@ -63,8 +66,8 @@ class Flight:
 
     `height`: flight height to climb to, m in the fleet's ENU frame.
     `climb`: limit of the climb rate, m/s.
-    `go_to`: sends a position setpoint.
-    `wanted`: returns the parameters that a flight with a firmware depends on.
+    `go_to`: function that sends a position setpoint.
+    `wanted`: function that returns the autopilot parameters that a flight with this firmware depends on.
     """
 
     def __init__(
@@ -76,28 +79,28 @@ class Flight:
         self._go_to, self._wanted = go_to, wanted
         self._firmware = telemetry.firmware
         self._review = Review((), bytewise=False)
-        self._rivalled = False  # whether the warning on another ground station with the agent's system id was shown
+        self._rivalled = False  # whether the log has warned of another ground station with the agent's system id
         self._setpoint: Point | None = None  # last take-off setpoint, for a firmware that takes off by rising setpoints
-        self.grounded = False  # the vehicle must not take off while this is set
-        self.withheld = ""  # reason of the positioning, in words, why the vehicle must not take off; "" if it may
+        self.grounded = False  # whether the vehicle must not take off now
+        self.withheld = ""  # reason in words why the positioning forbids the take-off; "" if it allows the take-off
         self.heard: list[Message] = []  # messages of the vehicle that the last poll received
         self._streams = Streams()
-        self._since = now  # when the present phase began
+        self._since = now  # time at which the present phase began
         self._begun = self._now = self._polled = now
         self._restarts = 0
         self._climb_from = 0.0  # m, height at which the climb began
-        self._unlimited = ""  # warning that the autopilot did not accept the climb limit
-        self._airborne = False  # the vehicle has left the ground, so an error no longer restarts the take-off
-        self._landing_seen = False  # a heartbeat showed a mode that lands, after the agent began to land
-        self._grounded: float | None = None  # since when the landing vehicle seems to be on the ground
-        self._taken = False  # a pilot or a failsafe has taken over the vehicle
-        self.phase = Phase.CONNECTING
+        self._unlimited = ""  # warning that the autopilot did not accept the climb limit; "" if it did
+        self._airborne = False  # whether the vehicle has left the ground, so that the take-off is not restarted
+        self._landing_seen = False  # whether a heartbeat has shown a landing mode since the agent began to land
+        self._grounded: float | None = None  # time since which the landing vehicle seems to be on the ground
+        self._taken = False  # whether a pilot or a failsafe has taken over the vehicle
+        self.phase = FlightPhase.CONNECTING
         self._doing = f"waiting for a heartbeat on {url}"
 
     @property
     def progress(self) -> str:
-        """The present activity for the log; if the autopilot refuses a command, with the autopilot's own reason."""
-        if self.phase is Phase.RESTED or self._link.heard is None:
+        """Present activity for the log, with the autopilot's reason if it refuses a command."""
+        if self.phase is FlightPhase.STOPPED or self._link.heard is None:
             return self._doing
         if not self._link.alive(self._now):
             return f"no heartbeat on {self._url}; was {self._doing}"
@@ -110,32 +113,32 @@ class Flight:
         self.heard = self._link.receive(now)
         for message in self.heard:
             self._streams.note(message.get_msgId(), now)
-            self._telemetry.take(message, now)
-            self._review.take(message)
+            self._telemetry.update(message, now)
+            self._review.handle(message)
         self._link.greet(now)
-        if self.phase is not Phase.RESTED:
+        if self.phase is not FlightPhase.STOPPED:
             self._watch(now)
-        if self.phase is not Phase.CONNECTING:
+        if self.phase is not FlightPhase.CONNECTING:
             self._streams.poll(self._link, self._firmware, now)
         match self.phase:
-            case Phase.CONNECTING:
+            case FlightPhase.CONNECTING:
                 self._connect(now)
-            case Phase.ESTIMATING:
+            case FlightPhase.ESTIMATING:
                 self._estimate(now)
-            case Phase.SWITCHING:
+            case FlightPhase.SWITCHING:
                 self._switch(now)
-            case Phase.ARMING:
+            case FlightPhase.ARMING:
                 self._arm(now)
-            case Phase.CLIMBING:
+            case FlightPhase.CLIMBING:
                 self._climb(now)
-            case Phase.FLYING:
+            case FlightPhase.FLYING:
                 self._fly(now)
-            case Phase.LANDING:
+            case FlightPhase.LANDING:
                 self._land(now)
-            case Phase.RESTED:
+            case FlightPhase.STOPPED:
                 pass
 
-    def _enter(self, phase: Phase, now: float, progress: str) -> None:
+    def _enter(self, phase: FlightPhase, now: float, progress: str) -> None:
         self.phase, self._since, self._doing = phase, now, progress
         for command in COMMANDS:
             self._link.forget(command)
@@ -148,11 +151,11 @@ class Flight:
         if self._telemetry.restarts != self._restarts:
             self._restarts = self._telemetry.restarts
             self._streams.restart()
-            if self._airborne and self.phase is not Phase.LANDING:
+            if self._airborne and self.phase is not FlightPhase.LANDING:
                 raise Unready("the autopilot restarted in flight")
-            if self.phase in (Phase.ESTIMATING, Phase.SWITCHING, Phase.ARMING, Phase.CLIMBING):
+            if self.phase in (FlightPhase.ESTIMATING, FlightPhase.SWITCHING, FlightPhase.ARMING, FlightPhase.CLIMBING):
                 self._read_parameters()
-                self._enter(Phase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
+                self._enter(FlightPhase.ESTIMATING, now, "the autopilot restarted; waiting for its position estimate")
 
     def _connect(self, now: float) -> None:
         if self._link.vehicle is None:
@@ -162,7 +165,7 @@ class Flight:
             raise stranger(self._url, what)
         self._firmware = self._telemetry.firmware = firmware
         self._read_parameters()
-        self._enter(Phase.ESTIMATING, now, f"{what}: waiting for its position estimate")
+        self._enter(FlightPhase.ESTIMATING, now, f"{what}: waiting for its position estimate")
 
     def _read_parameters(self) -> None:
         self._review = Review(self._wanted(self._firmware), self._firmware.bytewise)
@@ -172,14 +175,14 @@ class Flight:
         self._review.poll(self._link, now)
         told = None not in (state.yaw, state.landed, state.mode)
         if state.position is None or not state.fresh(now) or not told:
-            if differing := self._review.news():  # a wrong parameter may be why there is no estimate
-                self._doing = f"waiting for its position estimate; {differing}"
+            if differing := self._review.unreported():  # a wrong parameter may be the reason for the missing estimate
+                self._doing = f"waiting for the autopilot's position estimate; {differing}"
             return
         if self._link.crowded(now):
             others = ", ".join(map(str, sorted(self._link.others)))
             self._doing = (
-                f"another autopilot{f' (system {others})' if others else ''} sends to {self._url}: waiting until only "
-                "this robot's does; the setting `system` says which of several is this robot's"
+                f"another autopilot{f' (system {others})' if others else ''} sends to {self._url}: stop it, or set the "
+                "MAVLink system id of this robot's autopilot in `system`"
             )
         elif state.flying:
             self._take_over(now)
@@ -187,7 +190,7 @@ class Flight:
             self._doing = f"not taking off: {fault}"
         elif not self._review.known:
             self._doing = "reading the autopilot's parameters"
-        elif differing := self._review.news():
+        elif differing := self._review.unreported():
             self._doing = differing
         elif self._link.rivalled(now) and not self._rivalled:
             self._rivalled, self._doing = True, RIVAL
@@ -195,30 +198,31 @@ class Flight:
             self._doing = "ready to take off, waiting for the fleet"
         else:
             self._setpoint = None
-            self._enter(Phase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
+            self._enter(FlightPhase.SWITCHING, now, f"switching to {self._firmware.mode(self._firmware.follows)}")
 
     def _take_over(self, now: float) -> None:
-        """Take over a vehicle that flies already, perhaps since an earlier agent process that died.
+        """Take over a vehicle that flies already, for example after the agent's process was restarted.
 
-        It is taken over if it follows setpoints, and awaited on the ground if it lands. Otherwise raises Unready."""
+        A vehicle that follows setpoints is taken over. If the vehicle is landing, the agent waits until it is on the
+        ground. In any other mode, raises Unready."""
         state = self._telemetry
         if state.mode == self._firmware.follows:
-            self._enter(Phase.FLYING, now, "flying already: taking over without a take-off")
+            self._enter(FlightPhase.FLYING, now, "the vehicle flies already: taking over without a take-off")
         elif self._ends_itself:
             self._doing = f"already flying in {state.mode_name}: waiting until it has landed"
         else:
             wanted = self._firmware.mode(self._firmware.follows)
-            raise Unready(f"already flying in {state.mode_name}", f"land it first, or switch it to {wanted}")
+            raise Unready(f"already flying in {state.mode_name}", f"land the vehicle first, or switch it to {wanted}")
 
     @property
     def _ends_itself(self) -> bool:
-        """Return whether the mode ends on the ground by itself."""
+        """Return whether the vehicle's flight mode ends on the ground without further commands."""
         return self._telemetry.mode == self._firmware.lands or self._telemetry.mode in self._firmware.returns
 
     def _switch(self, now: float) -> None:
         self._call()
         if self._telemetry.mode == self._firmware.follows and self._telemetry.mode_time > self._since:
-            self._enter(Phase.ARMING, now, "arming")
+            self._enter(FlightPhase.ARMING, now, "arming")
         elif not self._firmware.rises or now - self._since >= CALLING:
             asked = self._set_mode(self._firmware.follows, now)
             if asked > 1:
@@ -226,15 +230,16 @@ class Flight:
                 self._doing = self._explained(doing, mavlink.MAV_CMD_DO_SET_MODE, now)
 
     def _call(self) -> None:
-        """On the ground, send setpoints already if the firmware takes off by rising setpoints (PX4).
+        """Send setpoints on the ground, if the firmware takes off by rising setpoints (PX4).
 
-        The setpoint is 0.2 m below the vehicle, so that an error of the estimate cannot command a take-off."""
+        PX4 stays in OFFBOARD mode only while setpoints arrive. The setpoint is 0.2 m below the vehicle, so that an
+        error of the position estimate cannot command a take-off."""
         if self._firmware.rises and self._telemetry.position is not None:
             self._setpoint = self._telemetry.position + Point(0.0, 0.0, -0.2)
             self._go_to(self._setpoint)
 
     def _lift(self, seconds: float) -> None:
-        """Raise the take-off setpoint by the climb of `seconds`, if the position estimate is fresh."""
+        """Raise the take-off setpoint as far as the vehicle climbs in `seconds`, if its position is fresh."""
         if self._setpoint is not None and self._telemetry.fresh(self._now):
             p, rate = self._setpoint, min(CLIMB, RISING * self._climbing)
             self._setpoint = Point(p.x, p.y, max(p.z, min(p.z + rate * seconds, self._height)))
@@ -243,9 +248,11 @@ class Flight:
     def _arm(self, now: float) -> None:
         self._call()
         if self._telemetry.mode != self._firmware.follows:
-            self._enter(Phase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; asking again")
+            self._enter(
+                FlightPhase.SWITCHING, now, f"the autopilot fell back to {self._telemetry.mode_name}; switching again"
+            )
         elif self._telemetry.armed:
-            self._enter(Phase.CLIMBING, now, "taking off")
+            self._enter(FlightPhase.CLIMBING, now, "taking off")
         else:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0, every=2.0)
             self._doing = self._explained("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now)
@@ -257,14 +264,14 @@ class Flight:
             said = self._link.reasons(self._since)
             words = f"disarmed before take-off{': ' if said else ''}{said}"
             if now - self._since < BY_HAND:
-                raise Unready(words, "a person or a failsafe did; see that all is well and start the agent anew")
-            self._enter(Phase.ARMING, now, f"{words}; arming again")
+                raise Unready(words, "a person or a failsafe has acted; check the vehicle and restart the agent")
+            self._enter(FlightPhase.ARMING, now, f"{words}; arming again")
         elif self._airborne:
             self._rise(now)
         elif state.mode != self._firmware.follows:
             self._leave_to_them()
         elif state.position is None or not state.fresh(now) or state.time is None or state.time < self._since + 0.3:
-            pass  # arming has just moved home, from which the take-off height counts: wait for a newer position
+            pass  # wait for a newer position: arming has just moved home, and the take-off height is relative to home
         elif state.flying:
             self._airborne = True
         elif self._firmware.rises:
@@ -272,17 +279,17 @@ class Flight:
             self._doing = "taking off"
         elif self._climb_limited(now):
             self._climb_from = state.position.z
-            # NAV_TAKEOFF takes a height above home. Home's own height is the difference of the two heights (AMSL and
-            # relative to home) in one GLOBAL_POSITION_INT.
+            # The height in NAV_TAKEOFF is relative to home. The height of home is the difference between the altitude
+            # AMSL and the height above home in one GLOBAL_POSITION_INT.
             above_home = self._height - state.position.z + state.relative
             self._link.ask(now, mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, above_home, every=2.0)
             self._doing = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
 
     def _climb_limited(self, now: float) -> bool:
-        """Request the climb limit from an ArduPilot. Return True if it accepted, or was asked ASKED times.
+        """Request the climb limit from ArduPilot. Return True if it accepted, or was asked ASKED times.
 
-        The limit holds for this take-off only. Without it, ArduPilot climbs at up to WP_SPD_UP (2.5 m/s by default), as
-        far as the height to climb allows."""
+        The limit holds for this take-off only. Without the limit, ArduPilot climbs at up to WP_SPD_UP (2.5 m/s by
+        default), as far as the height to climb allows."""
         asked = self._link.ask(now, mavlink.MAV_CMD_DO_CHANGE_SPEED, CLIMB_SPEED, self._climbing, -1.0, every=0.5)
         if asked.result == mavlink.MAV_RESULT_ACCEPTED:
             self._unlimited = ""
@@ -297,12 +304,12 @@ class Flight:
         if state.position is None or not state.fresh(now):
             lost = now - (state.time or self._since)
             if lost > BLIND:
-                raise Unready(f"no position for {lost:.1f} s while climbing", "look at the positioning source")
+                raise Unready(f"no position for {lost:.1f} s while climbing", "check the positioning source")
             return
         height, climb = state.position.z, self._height - self._climb_from
         stopped = abs(state.velocity.z) < STILL and height - self._climb_from > 0.5 * climb
         if height > self._height - min(AT_HEIGHT, 0.2 * climb) or stopped:
-            self._enter(Phase.FLYING, now, "flying")
+            self._enter(FlightPhase.FLYING, now, "flying")
 
     def _fly(self, now: float) -> None:
         self._keep(now)
@@ -310,7 +317,7 @@ class Flight:
         self._doing = "flying"
 
     def _keep(self, now: float) -> None:
-        """Raise Unready if the vehicle in the air is disarmed, or is in a mode that the agent did not request."""
+        """Raise Unready if the vehicle in the air is disarmed, or in a mode that the agent did not request."""
         if not self._telemetry.armed:
             said = self._link.reasons(now - 10.0)
             raise Unready(f"the autopilot disarmed in flight{': ' if said else ''}{said}")
@@ -321,33 +328,33 @@ class Flight:
         self._taken = True
         raise Unready(
             f"the autopilot is in {self._telemetry.mode_name}: a pilot or a failsafe took over",
-            "the agent leaves it to them",
+            "the agent sends the vehicle no more commands",
         )
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """Begin to land. Idempotent.
 
-        A vehicle that was never commanded is left as it is: it may be no copter, or flown by a pilot. Exception: a
-        vehicle that still follows setpoints, those of an agent process that died, is landed."""
+        A vehicle that the agent never commanded is not landed, because it may be no copter, or a pilot may fly it.
+        Exception: a flying vehicle in the mode that follows setpoints is landed, because its agent process has died."""
         state = self._telemetry
         orphan = state.flying and state.mode == self._firmware.follows and not self._link.crowded(now)
-        if self.phase is Phase.CONNECTING or (self.phase is Phase.ESTIMATING and not orphan):
-            self._enter(Phase.RESTED, now, "nothing was moved")
-        elif self.phase is not Phase.RESTED and self.phase is not Phase.LANDING:
-            self._enter(Phase.LANDING, now, "landing")
+        if self.phase is FlightPhase.CONNECTING or (self.phase is FlightPhase.ESTIMATING and not orphan):
+            self._enter(FlightPhase.STOPPED, now, "nothing was moved")
+        elif self.phase is not FlightPhase.STOPPED and self.phase is not FlightPhase.LANDING:
+            self._enter(FlightPhase.LANDING, now, "landing")
 
     def _land(self, now: float) -> None:
         state = self._telemetry
         # An arming command may still be in transit. So only a heartbeat that arrives 1 s or more after the beginning of
         # the landing proves that the vehicle is disarmed.
         if not state.armed and state.mode_time > self._since + 1.0:
-            self._enter(Phase.RESTED, now, "at rest, disarmed")
+            self._enter(FlightPhase.STOPPED, now, "at rest, disarmed")
             return
         ends_itself, lands = self._ends_itself, self._firmware.lands
         if self._landing_seen and not ends_itself:
             self._taken = True
         if self._taken and not ends_itself:
-            self._enter(Phase.RESTED, now, f"left to whoever switched it to {state.mode_name}")
+            self._enter(FlightPhase.STOPPED, now, f"left to the pilot or failsafe that switched to {state.mode_name}")
             return
         if ends_itself:
             self._landing_seen = True
@@ -359,10 +366,10 @@ class Flight:
         self._touch_down(now)
 
     def _touch_down(self, now: float) -> None:
-        """Disarm a vehicle that has been on the ground for PATIENCE seconds and is still armed.
+        """Disarm a vehicle that has been on the ground for DISARM_AFTER seconds and is still armed.
 
-        Without a remote control, ArduPilot's LAND may wait forever before it disarms (LAND_REPOSITION). The command
-        does not force: the autopilot refuses it in flight."""
+        Without a remote control, ArduPilot's LAND mode may wait forever before it disarms (LAND_REPOSITION). The
+        command to disarm has no force flag, so the autopilot refuses it in flight."""
         state = self._telemetry
         down = state.landed == _ON_GROUND
         if state.mode == self._firmware.lands and state.fresh(now):
@@ -371,18 +378,18 @@ class Flight:
             self._grounded = None
             return
         self._grounded = now if self._grounded is None else self._grounded
-        if now - self._grounded > PATIENCE:
+        if now - self._grounded > DISARM_AFTER:
             self._link.ask(now, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
             self._doing = self._explained(
                 "on the ground but still armed: disarming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, now
             )
 
     def _set_mode(self, mode: int, now: float) -> int:
-        """Return how often the command was sent in this phase."""
+        """Request a flight mode. Return how often the request was sent in this phase."""
         return self._link.ask(now, mavlink.MAV_CMD_DO_SET_MODE, *self._firmware.ask_mode(mode)).times
 
     def _explained(self, doing: str, command: int, now: float) -> str:
-        """Return the text for `progress`: the activity, and the autopilot's refusal of `command` with its reasons."""
+        """Return the activity `doing` for the log; if the autopilot refuses `command`, with its reasons."""
         asked = self._link.asked(command)
         if asked is None or (asked.result is None and asked.times < 3):
             return doing

@@ -1,7 +1,7 @@
 """Firmware facts of PX4 for multicopters, version 1.14 and later.
 
-PX4 stays in OFFBOARD mode only while setpoints arrive at 2 Hz or more. PX4's POSITION_TARGET_GLOBAL_INT shows the
-target of a mission; the target of OFFBOARD mode is in POSITION_TARGET_LOCAL_NED.
+PX4 stays in OFFBOARD mode only while setpoints arrive at 2 Hz or more. PX4 reports the target of OFFBOARD mode in
+POSITION_TARGET_LOCAL_NED; its POSITION_TARGET_GLOBAL_INT reports the target of a mission.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from targets.quad.autopilot.firmware import Firmware
 
 
 def custom_mode(main: int, sub: int = 0) -> int:
-    """Return a PX4 flight mode as packed in HEARTBEAT.custom_mode (px4_custom_mode.h)."""
+    """Return a PX4 main mode and sub-mode packed as in HEARTBEAT.custom_mode (px4_custom_mode.h)."""
     return main << 16 | sub << 24
 
 
@@ -29,13 +29,13 @@ PARAMETERS = (
     Wanted("COM_RCL_EXCEPT", (), (4, 5, 6, 7), "else the vehicle does not fly OFFBOARD without a remote control"),
 )
 _NO_OWN = (
-    Wanted("EKF2_HGT_REF", (), (3,), "else the EKF's height is not the feed's"),
+    Wanted("EKF2_HGT_REF", (), (3,), "else the EKF does not use the height of the feed"),
     Wanted("EKF2_GPS_CTRL", (), (0,), "else the EKF uses a GPS as well"),
     Wanted("EKF2_MAG_TYPE", (), (5,), "else the EKF uses the compass, which iron indoors disturbs"),
 )
 POSITIONING = {
-    "vision": (Wanted("EKF2_EV_CTRL", (), (11,), "else the EKF's position and heading are not the feed's"), *_NO_OWN),
-    "odometry": (Wanted("EKF2_EV_CTRL", (), (15, 11), "else the EKF's position and yaw are not the feed's"), *_NO_OWN),
+    "vision": (Wanted("EKF2_EV_CTRL", (), (11,), "else the EKF does not use the poses of the feed"), *_NO_OWN),
+    "odometry": (Wanted("EKF2_EV_CTRL", (), (15, 11), "else the EKF does not use the poses of the feed"), *_NO_OWN),
 }
 PX4 = Firmware(
     name="PX4",

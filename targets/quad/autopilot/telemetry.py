@@ -1,10 +1,12 @@
-"""Telemetry of the autopilot: flight mode, arming, position and present setpoint; and the requests for its streams.
+"""Telemetry of the autopilot: flight mode, arming, position and present setpoint.
 
-Positions are in local ENU about the fleet's origin, computed from GLOBAL_POSITION_INT. LOCAL_POSITION_NED would be
-relative to the vehicle's own EKF origin, which no other robot shares.
+The module also requests the autopilot's message streams.
+
+Positions are in local ENU about the fleet's origin, computed from GLOBAL_POSITION_INT. LOCAL_POSITION_NED is not used
+for them, because it is relative to the vehicle's own EKF origin, which no other robot shares.
 
 Heights are AMSL throughout (GLOBAL_POSITION_INT.alt; frame 5, MAV_FRAME_GLOBAL_INT, in setpoints). They are not
-relative to home, because each vehicle has its own home, which moves to the vehicle whenever it arms.
+relative to home, because each vehicle has its own home, which is reset to the vehicle's place at each arming.
 """
 
 from __future__ import annotations
@@ -21,14 +23,15 @@ from targets.quad.autopilot.ardupilot import ARDUPILOT
 from targets.quad.autopilot.firmware import Firmware
 
 VOUCHED = 2.0  # seconds for which an EKF status report counts as current
-_NO_POSITION = 0x007  # bits of a POSITION_TARGET's type_mask: x, y and z are to be ignored
-LONG_AGO = 2000  # ms; a message's boot time that lies further back means that the autopilot restarted, not a delay
+_NO_POSITION = 0x007  # bits of the type_mask in POSITION_TARGET messages: ignore x, y and z
+LONG_AGO = 2000  # ms; if a message's boot time is this much older than the newest one, the autopilot has restarted
 
 
 class Streams:
-    """Requests for the autopilot's message streams by SET_MESSAGE_INTERVAL, repeated for each stream that is missing.
+    """Requests for the autopilot's message streams by SET_MESSAGE_INTERVAL.
 
-    An autopilot sends these streams only on request, and forgets the requests when it restarts."""
+    An autopilot sends these streams only on request, and forgets the requests when it restarts. So each request is
+    repeated while its stream is missing."""
 
     def __init__(self) -> None:
         self._came: dict[int, float] = {}  # message id -> time of the last message
@@ -45,7 +48,7 @@ class Streams:
             silent = now - self._came.get(message, -math.inf) > 1.0
             if (silent or occasional) and now - self._asked.get(message, -math.inf) >= (2.0 if occasional else 1.0):
                 self._asked[message] = now
-                link.tell(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
+                link.send_once(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, message, 1e6 / rate)
 
     def restart(self) -> None:
         """Forget all requests, because the autopilot has restarted: the next poll requests all streams again."""
@@ -54,33 +57,33 @@ class Streams:
 
 
 class Telemetry:
-    """Last known state of the vehicle. None: not received yet."""
+    """Last known state of the vehicle. A field is None until its value is received."""
 
     def __init__(self, frame: LocalFrame) -> None:
         self._frame = frame
-        self._local: tuple[Point, Point] | None = None  # position about the EKF's origin, and `position` at that time
+        self._local: tuple[Point, Point] | None = None  # last position about the EKF's origin, and `position` then
         self.firmware = ARDUPILOT  # assumed until the firmware is known
         self._boot: int | None = None  # ms since the autopilot's boot, in its newest position message
-        self._earlier: int | None = None  # the same of the last message if that was older than the newest, else None
+        self._earlier: int | None = None  # boot time (ms) of the last message if it is not the newest, else None
         self._ekf: int | None = None  # flags of the last EKF status report
-        self._ekf_time = -math.inf  # arrival of that report
+        self._ekf_time = -math.inf  # time at which the last EKF status report arrived
         self.restarts = 0  # number of restarts of the autopilot that were detected
         self.mode: int | None = None  # flight mode: HEARTBEAT.custom_mode
-        self.mode_time = -math.inf  # arrival of the last heartbeat
+        self.mode_time = -math.inf  # time at which the last heartbeat arrived
         self.armed = False
-        self.landed: int | None = None  # MAV_LANDED_STATE
+        self.landed: int | None = None  # state as in MAV_LANDED_STATE: on the ground, in the air, ...
         self.position: Point | None = None
-        self.velocity = Point()  # m/s, ENU
-        self.yaw: float | None = None  # rad from east; None where the autopilot does not know it
-        self.time: float | None = None  # arrival of `position`
+        self.velocity = Point()  # velocity in ENU, m/s
+        self.yaw: float | None = None  # rad from east; None if the autopilot does not know the yaw
+        self.time: float | None = None  # time at which `position` arrived
         self.amsl = 0.0  # m, altitude AMSL
         self.relative = 0.0  # m, height above home
-        self.battery: float | None = None  # charge, 0 to 1
+        self.battery: float | None = None  # battery charge, 0 to 1
         self.followed: Point | None = None  # the position setpoint that the autopilot reports
-        self.followed_time = -math.inf  # arrival of that report
+        self.followed_time = -math.inf  # time at which the last report of the setpoint arrived
 
-    def take(self, message: Message, now: float) -> None:
-        """Take one of the vehicle's messages."""
+    def update(self, message: Message, now: float) -> None:
+        """Update the state from one message of the vehicle."""
         if message.get_msgId() not in self.firmware.rates:
             return
         match message.get_msgId():
@@ -88,24 +91,25 @@ class Telemetry:
                 self.mode, self.mode_time = message.custom_mode, now
                 self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             case mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
-                self._take_position(message, now)
-            case mavlink.MAVLINK_MSG_ID_SYS_STATUS:  # percent; -1: the autopilot does not know it
+                self._update_position(message, now)
+            case mavlink.MAVLINK_MSG_ID_SYS_STATUS:  # battery charge in percent; -1: unknown to the autopilot
                 self.battery = message.battery_remaining / 100 if 0 <= message.battery_remaining <= 100 else None
             case mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE:
                 self.landed = message.landed_state or None
-            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # same flags
+            case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT | mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:
+                # The flags have the same bits in both messages.
                 self._ekf, self._ekf_time = message.flags, now
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT:
-                if math.isfinite(message.alt):  # always AMSL, in whatever frame the setpoint was sent
+                if math.isfinite(message.alt):  # AMSL, independent of the frame in which the setpoint was sent
                     place = self._frame.enu(message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt)
                     self.followed, self.followed_time = Point(*place), now
             case mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED:
                 if self.position is not None and self.fresh(now):
                     self._local = Point(message.y, message.x, -message.z), self.position
             case mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED:
-                self._take_local_target(message, now)
+                self._update_local_target(message, now)
 
-    def _take_local_target(self, message: Message, now: float) -> None:
+    def _update_local_target(self, message: Message, now: float) -> None:
         """Convert a setpoint reported relative to the EKF's own origin to the fleet's frame.
 
         The EKF's origin need not be known: the offset of the setpoint from the vehicle's local position suffices."""
@@ -116,8 +120,8 @@ class Telemetry:
         if transmissible(target):
             self.followed, self.followed_time = target, now
 
-    def _take_position(self, message: Message, now: float) -> None:
-        if not self._news(message.time_boot_ms):
+    def _update_position(self, message: Message, now: float) -> None:
+        if not self._is_newest(message.time_boot_ms):
             return
         if (message.lat == 0 and message.lon == 0) or not self._estimating(now):
             return
@@ -129,15 +133,17 @@ class Telemetry:
         )
         known = message.hdg < 36000
         self.yaw = math.remainder(math.pi / 2 - math.radians(message.hdg / 100), math.tau) if known else None
-        # The time of arrival, not of sending. A simulated autopilot's clock may run more slowly than the agent's, so
-        # the delay of a message cannot be distinguished from the drift of the clocks.
+        # `time` is the time of arrival, not of sending. A simulated autopilot's clock may run more slowly than the
+        # agent's, so the delay of a message cannot be distinguished from the drift of the clocks.
         self.time = now
 
-    def _news(self, boot: int) -> bool:
-        """Return whether a message is newer than all before. `boot`: its time in ms since the autopilot's boot.
+    def _is_newest(self, boot: int) -> bool:
+        """Return whether a message is newer than all earlier messages.
 
-        A message that was duplicated or overtaken in transit must not count as fresh. Two successive messages whose
-        times lie LONG_AGO or more before the newest one, and increase, mean that the autopilot restarted."""
+        `boot`: time of the message in ms since the autopilot's boot.
+
+        A message that was duplicated or overtaken in transit must not count as fresh. If the times of two successive
+        messages increase, but are LONG_AGO or more before the newest one, the autopilot has restarted."""
         if self._boot is not None and boot <= self._boot:
             runs_on = self._earlier is not None and 0 < boot - self._earlier < LONG_AGO
             self._earlier = boot
@@ -152,7 +158,9 @@ class Telemetry:
         self._ekf = self.landed = self.position = self.time = self.followed = self._local = None
 
     def _estimating(self, now: float) -> bool:
-        """Return whether the EKF has an absolute position, by ArduPilot's rule (Copter::ekf_has_absolute_position)."""
+        """Return whether the EKF has an absolute position.
+
+        The rule is that of ArduPilot (Copter::ekf_has_absolute_position)."""
         if self._ekf is None or now - self._ekf_time > VOUCHED:
             return False
         absolute = bool(self._ekf & mavlink.EKF_POS_HORIZ_ABS)

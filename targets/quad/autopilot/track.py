@@ -1,4 +1,4 @@
-"""Track filter for a position source: estimates the velocity from its samples, and rejects samples that jump.
+"""Track filter for a position source: estimates the velocity, and rejects samples that jump.
 
 The velocity is that of a critically damped g-h filter, which has no lag at constant velocity (E. Brookner, Tracking and
 Kalman Filtering Made Easy, 1998, chapter 1). Frame: local ENU, metres, radians; times are seconds on the agent's clock.
@@ -13,14 +13,14 @@ from koordgen.runtime.values.points import Point, Pose, distance
 # Time constant of the filter, seconds. At 50 samples per second, noise of 5 mm in the positions gives 0.024 m/s in the
 # velocity, and under acceleration the velocity lags by 0.11 s.
 MEMORY = 0.06
-# A sample is a jump if its distance from the extrapolated position exceeds SLACK + (maximum speed + GUSTS) * t, where t
-# is the time since the sample before, rejected or not, and WHILE at most. GUSTS allows for wind and falling. The limit
-# grows neither over longer silences nor while all samples are rejected; else every jump would be accepted in the end.
-SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # metres, seconds, m/s
+# A sample is a jump if its distance from the extrapolated position exceeds SLACK + (maximum speed + GUSTS) * t. Here t
+# is the time since the previous sample, accepted or rejected, and WHILE at most. GUSTS allows for wind and falling. The
+# limit grows neither in a longer silence nor while samples are rejected; otherwise each jump would be accepted later.
+SLACK, WHILE, GUSTS = 0.25, 0.5, 2.0  # SLACK in metres, WHILE in seconds, GUSTS in m/s
 YAW_SLACK, YAW_RATE = 0.5, 6.0  # radians, rad/s: a change of yaw of more than YAW_SLACK + YAW_RATE * t is a jump, too
 
 
-class Track:
+class PositionTrack:
     """Track of a vehicle whose own speed is `max_speed` (m/s) at most.
 
     `pose`, `velocity` (m/s) and `time` belong to the last accepted sample."""
@@ -35,8 +35,10 @@ class Track:
         self.time = -math.inf
         self.jumps = 0  # number of rejected samples
 
-    def take(self, pose: Pose, time: float) -> bool:
-        """Return whether the sample is accepted. A sample not newer than the last is ignored, and is not a jump."""
+    def add(self, pose: Pose, time: float) -> bool:
+        """Process a sample, and return whether it is accepted.
+
+        A sample that is not newer than the last one is ignored, and does not count as a jump."""
         if time <= self._last:
             return False
         since, self._last = time - self._last, time
@@ -65,11 +67,11 @@ class Track:
         self.velocity = self.velocity + off * ((1.0 - kept) ** 2 / seconds)
 
     def refused(self, now: float) -> float:
-        """Return for how many seconds all samples have been rejected; 0 if the last one was accepted."""
+        """Return for how many seconds all samples have been rejected; 0 if the last sample was accepted."""
         return 0.0 if self._refusing is None else now - self._refusing
 
     def forget(self) -> None:
-        """Accept the next sample wherever it is, because the vehicle was carried there."""
+        """Accept the next sample at any place, because the vehicle was carried to another place."""
         self.pose, self._refusing = None, None
 
     def at(self, time: float) -> Point | None:

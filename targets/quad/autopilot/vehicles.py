@@ -23,7 +23,9 @@ FIRMWARES = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ARDUPILOT, mavlink.MAV_AUTOPIL
 
 
 def identified(link: Link) -> tuple[str, Firmware | None]:
-    """Return a description of the vehicle and its firmware. The firmware is None if this target cannot fly it."""
+    """Return a description of the vehicle, and its firmware.
+
+    The firmware is None if there is no vehicle, or this target cannot fly it."""
     vehicle = link.vehicle
     if vehicle is None:
         return "nothing", None

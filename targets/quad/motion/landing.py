@@ -1,7 +1,7 @@
 """Choice of a landing place that is not on another robot.
 
-Other robots publish their positions or paths. A quad that is to land above one of them first moves aside to the nearest
-free place, for SECONDS at most. Metres, seconds, local ENU.
+Other robots publish their positions or paths. A quad that would land on a published path first moves aside to the
+nearest free place, for SECONDS at most. Lengths are in metres, times in seconds, positions in local ENU.
 """
 
 from __future__ import annotations
@@ -18,33 +18,33 @@ from targets.quad.motion.trajectory import norm
 
 # Candidate places lie on rings around the quad: the radius of the largest ring, and the distance between rings, in m.
 FARTHEST, STEP = 1.6, 0.2
-DIRECTIONS = 16  # number of places on each ring
+DIRECTIONS = 16  # number of candidate landing places on each ring around the quad
 TURN = 2.4  # rad between the first directions of robots with successive pids, so that they choose different places
-SECONDS = 8.0  # seconds that the flight aside may take; after that, the quad lands where it is
+SECONDS = 8.0  # seconds that the flight to another landing place may take; after that, the quad lands where it is
 THERE = 0.15  # m; horizontal distance from the chosen place within which a slow quad begins to land
 
 
 class Surroundings(Protocol):
-    """Geofence and obstacles around the quad."""
+    """Interface to the geofence and the obstacles around the quad."""
 
     def may_land(self, position: Point, place: Point) -> bool:
-        """Return whether geofence and obstacles allow the quad to fly straight to a place and to land there."""
+        """Return whether geofence and obstacles allow the quad to fly straight to `place` and to land there."""
         ...
 
 
 class Landing:
-    """Landing place of one robot, which is `apart` metres or more away, horizontally, from other robots' paths."""
+    """Landing place of one robot, horizontally at least `apart` metres from the paths of other robots."""
 
     def __init__(self, pid: int, apart: float, surroundings: Surroundings) -> None:
         self._pid, self._apart, self._surroundings = pid, apart, surroundings
-        self._until: float | None = None  # latest time of the landing; None: no place was chosen yet
+        self._until: float | None = None  # latest time at which the landing begins; None before a place is chosen
         self._place: Point | None = None
-        self._news: list[str] = []
+        self._log_lines: list[str] = []
 
     def aside(self, position: Point, velocity: Point, others: dict[str, Path], now: float) -> Point | None:
         """Return the place to fly to before the landing, or None to land now at `position`.
 
-        `others`: published paths by robot name. The first call chooses the place; later ones keep it."""
+        `others`: published paths by robot name. The first call chooses the place, and later calls keep it."""
         if self._until is None:
             self._until = now + SECONDS
             self._place = self._chosen(position, others)
@@ -62,16 +62,16 @@ class Landing:
         names = f"robot {', '.join(below)}"
         place = next((p for p in self._places(position) if self._is_free(position, p, others)), None)
         if place is None:
-            self._news.append(f"landing above a path of {names}: there is no free place within {FARTHEST:g} m")
+            self._log_lines.append(f"landing above a path of {names}: there is no free place within {FARTHEST:g} m")
         else:
-            self._news.append(f"{names} may be below: moving to ({place.x:.2f}, {place.y:.2f}) before the landing")
+            self._log_lines.append(f"{names} may be below: moving to ({place.x:.2f}, {place.y:.2f}) before the landing")
         return place
 
     def _is_below(self, path: Path, position: Point) -> bool:
-        """Return whether the quad at `position` would land on a path of another robot.
+        """Return whether the quad at `position` would land on this path of another robot.
 
-        A path counts if its lowest point is more than apart / 4 below the quad, and it is horizontally nearer than
-        `apart`."""
+        The path's lowest point must be more than apart / 4 below the quad, and its horizontal distance below `apart`.
+        """
         lower = min(p.z for p in path) < position.z - self._apart / 4
         return lower and _from_above(path, position) < self._apart
 
@@ -85,9 +85,9 @@ class Landing:
                 turn = self._pid * TURN + math.tau * i / DIRECTIONS
                 yield position + Point(math.cos(turn), math.sin(turn)) * (ring * STEP)
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """Return log lines on the choice of a landing place since the last call."""
-        told, self._news = self._news, []
+        told, self._log_lines = self._log_lines, []
         return told
 
 

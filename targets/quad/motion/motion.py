@@ -1,6 +1,6 @@
 """Motion control: follows the program's target or path, pauses, and detects that the goal is reached.
 
-It steps the reference trajectory, sends setpoints with yaw, and checks that the autopilot follows them.
+It advances the reference trajectory, sends setpoints with yaw, and checks that the autopilot follows the setpoints.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from koordgen.runtime.vehicle.safety import clamp
 from targets.mavlink.link import Link
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.motion.reference import STANDING, Reference
-from targets.quad.motion.rejoin import OpenSpace, Rejoin, Ways
+from targets.quad.motion.rejoin import FreeSpace, OpenSpace, Rejoin
 from targets.quad.motion.setpoint import ARDUPILOT, Aim, Shaping, aimed, setpoint
-from targets.quad.motion.trajectory import Limits, State, norm
+from targets.quad.motion.trajectory import MotionLimits, MotionState, norm
 from targets.quad.motion.yaw import Yaw
 
 UNFOLLOWED = 5.0  # seconds without evidence that the autopilot follows setpoints, after which `steer` raises Unready
 SPACING = 0.04  # minimum seconds between two setpoints
-NEAR = 0.3  # metres by which the setpoint that the autopilot reports may differ from the one sent
+NEAR = 0.3  # metres by which the setpoint that the autopilot reports may differ from the sent setpoint
 HALTING = 1.0  # seconds for which the setpoint of a halt is repeated
-PLANNED = 0.97  # share of the speed limits that the reference uses; the vehicle catches up with the rest
+PLANNED = 0.97  # share of the speed limits that the reference uses, so that a faster vehicle can catch up
 SETTLED = 0.1  # m; a slow vehicle within this distance of a standing reference counts as settled
-MARGIN = 0.15  # m from the geofence's faces that setpoints keep, because the vehicle wavers around them
+MARGIN = 0.15  # m that setpoints keep from the geofence's faces, because the vehicle wavers around its setpoints
 
 
 def room(fence: Box, height: float) -> Box:
@@ -46,39 +46,41 @@ class Motion:
     `max_speed`, `climb`: limits of the vehicle's speed and of its vertical speed, m/s.
     `acceleration`: limit of the reference's acceleration, m/s^2.
     `radius`, `dwell`: the goal is reached after `dwell` seconds of standing within `radius` of it.
-    `yaw`: result of `yaw.heading`. `shaping`: the autopilot's response to setpoints. `ways`: obstacles and planner.
-    `action`: see `Standstill`.
+    `yaw`: result of `yaw.heading`. `shaping`: the autopilot's response to setpoints. `space`: obstacles and planner.
+    `action`: reaction to a standstill, as in `Standstill`.
     """
 
     def __init__(
         self, frame: LocalFrame, fence: Box, height: float, max_speed: float, acceleration: float, climb: float,
         radius: float, dwell: float, yaw: str | float = "keep", shaping: Shaping = ARDUPILOT,
-        ways: Ways | None = None, action: str = "hold",
+        space: FreeSpace | None = None, action: str = "hold",
     ) -> None:  # fmt: skip
         self._frame, self._fence = frame, fence
         self._radius, self._dwell, self._speed = radius, dwell, max_speed
         self._room = room(fence, height)
-        self._limits = Limits(max_speed, climb, acceleration, self._room)
-        self._reference = Reference(Limits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
-        self._rejoin = Rejoin(self._reference, OpenSpace() if ways is None else ways, action)
+        self._limits = MotionLimits(max_speed, climb, acceleration, self._room)
+        self._reference = Reference(MotionLimits(PLANNED * max_speed, PLANNED * climb, acceleration, self._room))
+        self._rejoin = Rejoin(self._reference, OpenSpace() if space is None else space, action)
         self._shaping = shaping
         self._yaw = Yaw(yaw)
         self._commanded: tuple[Point, ...] = ()
         self._goal: Point | None = None  # last point of the command, to which `reached` refers
-        self._near: float | None = None  # since when the vehicle stands at the goal
-        self._sent: float | None = None  # when the last setpoint was sent
-        self._doubted: float | None = None  # since when there is no evidence that the autopilot follows the setpoints
-        self._halt: tuple[Point, float] | None = None  # place of a halt, and the time until which it is sent
+        self._near: float | None = None  # time since which the vehicle stands at the goal
+        self._sent: float | None = None  # time at which the last setpoint was sent
+        self._unconfirmed: float | None = (
+            None  # time since which no evidence shows that the autopilot follows setpoints
+        )
+        self._halt: tuple[Point, float] | None = None  # place of a halt, and time until which its setpoint is sent
         self.reached = True  # whether the goal is reached; True without a goal
         self.followed = False  # whether there is evidence that the autopilot follows the setpoints
-        self.settled = False  # whether the vehicle has stood at its standing reference, since steering began
+        self.settled = False  # whether the vehicle has stood at its standing reference once since steering began
         self.refused = 0  # number of commands refused because a point was not finite
 
     def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:
         """Fly along these points, in a straight line from each to the next.
 
-        A target is a path of one point. No points: stop. A command that is being followed already has no effect. If
-        `passed` is given, that many points are behind the vehicle, and the leg to the next one is unchecked."""
+        A target is a path of one point. Without points, stop. A command that is followed already has no effect. If
+        `passed` is given, the vehicle has passed that many points, and the leg to the next point was not checked."""
         if not transmissible(points):
             self.refused += 1
             return
@@ -96,27 +98,27 @@ class Motion:
 
     @property
     def stall(self) -> str:
-        """Reason why the vehicle has no path to its goal, "" if it has one: see koordgen.runtime.vehicle.platform."""
+        """Reason why the vehicle has no path to its goal, in words; "" if it has a path."""
         return self._rejoin.stall
 
-    def news(self) -> list[str]:
-        """Return what happened since the last call, for the log."""
-        return self._rejoin.news()
+    def log_lines(self) -> list[str]:
+        """Return log lines on standstills since the last call."""
+        return self._rejoin.log_lines()
 
     def steer(self, link: Link, state: Telemetry, now: float) -> None:
         """Send the next setpoint if one is due, and check that the autopilot follows the setpoints.
 
-        Raises Unready if it does not. To be called only in flight and with a fresh position."""
+        Raises Unready if the autopilot does not follow them. Call this only in flight and with a fresh position."""
         position = state.position
         if position is None or link.vehicle is None or (self._sent is not None and now - self._sent < SPACING):
             return
         self._attend(position, state.velocity, now)
         age = 0.0 if state.time is None else now - state.time
-        here = State(position + state.velocity * (age + self._shaping.delay), state.velocity)
+        here = MotionState(position + state.velocity * (age + self._shaping.delay), state.velocity)
         aim = aimed(self._reference, here, self._shaping, self._limits)
         aim = self._rejoin.bounded(aim, position, self._shaping)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
-        self._say(link, Aim(aim.position, aim.velocity, yaw), now)
+        self._send_setpoint(link, Aim(aim.position, aim.velocity, yaw), now)
         self._yaw.watch(state)
         self._watch(link, state, aim, now)
         self._judge(position, state.velocity, now)
@@ -127,12 +129,14 @@ class Motion:
         self._rejoin.poll(position, velocity, there, now)
 
     def coast(self, now: float) -> None:
-        """Send nothing and drop the reference's state: the vehicle is not flying, or is under another's control."""
+        """Send nothing, and drop the reference's trajectory.
+
+        This is for a vehicle that does not fly, or that a pilot or a failsafe controls."""
         self._drop(now)
         self._yaw.forget()
 
     def rise(self, state: Telemetry, now: float) -> None:
-        """During the take-off climb, only check that the yaw stays as it is. Raises Unready if it does not."""
+        """Check that the yaw stays constant during the take-off climb. Raises Unready if it changes."""
         self._drop(now)
         if state.fresh(now):
             self._yaw.keep(state, now)
@@ -140,7 +144,7 @@ class Motion:
 
     def _drop(self, now: float) -> None:
         self._rejoin.drop(now)
-        self._halt = self._sent = self._doubted = self._near = None
+        self._halt = self._sent = self._unconfirmed = self._near = None
         self.followed = self.settled = False
 
     def halt(self, link: Link, now: float) -> None:
@@ -155,38 +159,39 @@ class Motion:
         if self._halt is None or now > self._halt[1] or link.vehicle is None:
             self._drop(now)
         elif self._sent is None or now - self._sent >= SPACING:
-            self._say(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw.commanded), now)
+            self._send_setpoint(link, Aim(clamp(self._room, self._halt[0]), yaw=self._yaw.commanded), now)
 
-    def _say(self, link: Link, aim: Aim, now: float) -> None:
+    def _send_setpoint(self, link: Link, aim: Aim, now: float) -> None:
         if link.vehicle is not None:
             link.send(setpoint(link.vehicle, self._frame, self._fence, aim))
             self._sent = now
 
     def _watch(self, link: Link, state: Telemetry, aim: Aim, now: float) -> None:
         # The autopilot reports its setpoint at 5 Hz, and one report per second is enough. ArduPilot reports only
-        # setpoints without a velocity. Whether it follows the others shows in the vehicle's motion.
+        # setpoints without a velocity. For the other setpoints, only the vehicle's motion shows whether ArduPilot
+        # follows them.
         near = NEAR if aim.velocity is None else NEAR + 1.2 * self._speed
         told = state.followed if now - state.followed_time < 1.0 else None
         if told is not None and distance(told, aim.position) < near:
-            self._doubted, self.followed = None, True
+            self._unconfirmed, self.followed = None, True
             return
         if aim.velocity is not None:
-            self._doubted = None
+            self._unconfirmed = None
             return
-        self._doubted = now if self._doubted is None else self._doubted
-        if now - self._doubted > 1.0:
+        self._unconfirmed = now if self._unconfirmed is None else self._unconfirmed
+        if now - self._unconfirmed > 1.0:
             self.followed = False
-        if now - self._doubted > UNFOLLOWED and link.alive(now):
+        if now - self._unconfirmed > UNFOLLOWED and link.alive(now):
             raise Unready(
                 f"the autopilot is in {state.mode_name} but does not follow position setpoints",
-                "does another program command it, or is it set to take commands from another system id only?",
+                "check whether another program commands the autopilot, or it accepts another MAVLink system id only",
             )
 
     def _judge(self, position: Point, velocity: Point, now: float) -> None:
         """Update `settled` and `reached`.
 
-        The goal is reached once the vehicle has stood within the radius for the dwell time; it then stays reached until
-        the next command."""
+        The goal is reached once the vehicle has stood within the radius for the dwell time. The goal then stays reached
+        until the next command."""
         waiting = self._reference.at(0.0)
         stands = norm(waiting.velocity) == 0.0 and norm(velocity) < STANDING
         self.settled |= stands and distance(position, waiting.position) < SETTLED

@@ -1,11 +1,11 @@
 """Reference: the desired position and velocity of the vehicle, now and in the near future.
 
-The reference advances along a trajectory with time. It slows down when the vehicle falls behind, and stands when the
-vehicle is a leash away from it.
+The reference advances along a trajectory with time. It slows down when the vehicle falls behind, and stands when its
+distance from the vehicle reaches a limit, the leash.
 
 A program may command a new target again and again. The reference then assumes that the target moves on as before, and
-flies along with it instead of stopping at each commanded place. If no new target arrives for a while, the reference
-returns to the last one.
+moves along with the target instead of stopping at each commanded place. If no new target arrives for a while, the
+reference returns to the last commanded target.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ from itertools import pairwise
 from koordgen.runtime.values.points import Point, distance
 from koordgen.runtime.vehicle.safety import clamp
 from targets.planning.world import Path
-from targets.quad.motion.trajectory import ZERO, Limits, State, Trajectory, norm, plan, standing
+from targets.quad.motion.trajectory import ZERO, MotionLimits, MotionState, Trajectory, norm, plan, standing
 
-# s, m. At a distance of LEASH_LENGTH + LEASH_TIME * maximum speed from the vehicle (the leash), the reference stands.
+# s, m. The leash is LEASH_LENGTH + LEASH_TIME * maximum speed: at this distance from the vehicle, the reference stands.
 LEASH_TIME, LEASH_LENGTH = 0.5, 0.5
 LONGEST_STEP = 0.5  # s; maximum time by which the reference advances in one step
 CREEP = 0.05  # rate (reference time per real time) below which the reference stands
-FASTER = 1.0  # 1/s; growth of the rate after the caller of `advance` has limited it
-PAUSE = 0.5  # s; a pause puts the reference at most this time ahead, about as far as an autopilot needs to brake
-STANDING = 0.25  # m/s; slower vehicles count as standing. Estimates of a hovering vehicle's speed stay below this
-WINDOW = 0.4  # s of a target's last places from which its velocity is estimated
+FASTER = 1.0  # 1/s; growth of the reference's rate after the caller of `advance` has limited the rate
+PAUSE = 0.5  # s; a paused reference stops at most this time of flight ahead: an autopilot needs about as far to brake
+STANDING = 0.25  # m/s; slower vehicles count as standing. The estimated speed of a hovering vehicle stays below this
+WINDOW = 0.4  # s; the velocity of a moving target is estimated from its places in this last period
+
 # A moving target must be faster than PACE (m/s), and its displacement must be at least STRAIGHT times the length of the
-# path through its places. Anything else is noise of measured places.
+# path through its places. Otherwise the motion counts as noise in measured places.
 PACE, STRAIGHT = 0.1, 0.7
-SLOW = 0.1  # m/s; a trajectory with a lower peak speed, over a centimetre or so, counts as no motion
-SETTLED = 0.5  # s that the vehicle may need to stand still after the reference does
-RHYTHM = 0.6  # s; if the next target arrives later than this, it is a new target and not the motion of the last one
+SLOW = 0.1  # m/s; a trajectory with a lower peak speed, for example one of a centimetre, counts as no motion
+SETTLED = 0.5  # s that the vehicle may need to come to a stand after the reference has come to a stand
+RHYTHM = 0.6  # s; a target that is commanded later than this after the last one counts as new, not as a moving target
 
 
 class Pursuit:
     """Prediction of a moving target: its velocity and acceleration (m/s, m/s^2) from its last places.
 
-    They are those of the parabola through the first, the middle and the last place in the WINDOW."""
+    Both are computed from the parabola through the first, the middle and the last place in the WINDOW."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
         self._seen: deque[tuple[float, Point]] = deque(maxlen=64)
         self.forget()
@@ -78,19 +79,21 @@ class Pursuit:
 
 
 class Reference:
-    """Reference state of one vehicle. Points must be finite and within the limits' box; times in s on any clock."""
+    """Reference state of one vehicle.
 
-    def __init__(self, limits: Limits) -> None:
+    Points must be finite and inside the box `limits.box`. Times are in seconds on any clock."""
+
+    def __init__(self, limits: MotionLimits) -> None:
         self.limits = limits
         self._leash = LEASH_LENGTH + LEASH_TIME * limits.speed
         self._pursuit = Pursuit(limits)
         self._points: tuple[Point, ...] = ()
         self._passed = 0  # number of points that were passed when the trajectory was planned
         self._trajectory: Trajectory | None = None
-        self._elapsed = 0.0  # s on the trajectory
+        self._elapsed = 0.0  # s that the reference has advanced on the trajectory
         self._rate = 1.0  # trajectory time per real time, 0 to 1
         self._time = 0.0  # real time to which the reference has advanced
-        self._slowed = False  # whether `most` limited the rate; the rate then grows slowly
+        self._limited = False  # whether the caller of `advance` limited the rate, which then grows slowly
         self.paused = False
         self.alone = True  # whether to send setpoints without a velocity: the reference stands, is paused, or waits
 
@@ -105,12 +108,14 @@ class Reference:
 
     @property
     def ahead(self) -> tuple[Point, ...]:
-        """The points that are not passed, and always the last one; () before the first command or start."""
+        """Waypoints that are not passed yet, always with the last one; () before the first command or start."""
         return self._points[min(self._behind(), len(self._points) - 1) :] if self._points else ()
 
     @property
     def stood(self) -> float:
-        """Seconds since the reference came to a final stand; negative while it moves, infinite if it never moved."""
+        """Seconds since the reference came to a final stand; negative while it moves.
+
+        Infinite if the trajectory has no motion at all."""
         trajectory = self._trajectory
         if trajectory is None or trajectory.peak == 0.0:
             return math.inf
@@ -123,21 +128,21 @@ class Reference:
 
     @property
     def waits(self) -> bool:
-        """Return whether the vehicle is too far from the reference for it to move."""
+        """Return whether the reference stands because the vehicle is too far from it."""
         return self._rate == 0.0
 
     def start(self, position: Point, velocity: Point, now: float) -> None:
         """Plan a trajectory from the vehicle's position and velocity to the points ahead.
 
-        Without points, or if paused, plan a stop."""
+        If there are no points, or the reference is paused, plan a stop."""
         at = clamp(self.limits.box, position)
-        climb = velocity.z if at.z == position.z else 0.0  # a clamped height moves into the box by itself
-        state = State(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
+        climb = velocity.z if at.z == position.z else 0.0  # no vertical velocity if the height was clamped to the box
+        state = MotionState(at, self.limits.limited(Point(velocity.x, velocity.y, climb)))
         if norm(state.velocity) < STANDING or not self.limits.safe(state):
-            state = State(state.position)
+            state = MotionState(state.position)
         self._time, self._rate = now, 1.0
         self._points = self._points or (self.limits.stop(state),)
-        self._replan(State(self._halt(state)) if self.paused else state)
+        self._replan(MotionState(self._halt(state)) if self.paused else state)
 
     def drop(self, now: float) -> Point | None:
         """Drop the trajectory, because the vehicle no longer follows it; `start` plans a new one.
@@ -150,13 +155,14 @@ class Reference:
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """The present trajectory; each new command replaces it by another object."""
+        """Present trajectory. Each new command replaces the trajectory by another object."""
         return self._trajectory
 
     def way(self) -> Path:
-        """Return places ahead on the trajectory, which is near to the straight lines between them.
+        """Return places ahead on the trajectory, which stays near the straight lines between these places.
 
-        See `Trajectory.chords`. A moving target is followed until it counts as standing. Requires `start`."""
+        `Trajectory.chords` gives the largest deviation. The places include the pursuit of a moving target up to the
+        time when the target counts as standing. `start` must be called first."""
         trajectory = self._trajectory
         assert trajectory is not None
         way = trajectory.chords(self._elapsed)
@@ -178,33 +184,37 @@ class Reference:
             self._replan(state)
 
     def detour(self, points: tuple[Point, ...]) -> None:
-        """Insert a detour to the next point ahead: `points`, which end with that point. Only while paused."""
+        """Insert `points` before the next waypoint. The last of `points` is this waypoint.
+
+        The reference must be paused."""
         self._points, self._passed = (*points, *self.ahead[1:]), 0
 
     def pause(self, on: bool, now: float) -> None:
-        """Stop as soon as possible, or resume."""
+        """Stop the reference as soon as possible, or let it resume its trajectory."""
         state = self._run(now)
         if on:
-            self._passed = self._behind()  # before `paused` is set: a paused reference passes no point
+            self._passed = self._behind()  # computed before `paused` is set, because a paused reference passes no point
         self.paused = on
         if state is None:
             return
         if on:
             self._pursuit.forget()
-            state = State(self._halt(state))
+            state = MotionState(self._halt(state))
         self._replan(state)
 
     def advance(self, position: Point, now: float, most: float = 1.0) -> None:
-        """Advance the reference to `now`, and set its rate by its distance from the vehicle. `most` limits the rate."""
+        """Advance the reference to `now`, and set its rate by its distance from the vehicle.
+
+        `most`: upper limit of the rate."""
         since = max(0.0, now - self._time)
         state = self._run(now)
         if state is None:
             return
         behind = distance(position, state.position) / self._leash
         rate = min(1.0, 2.0 - 2.0 * behind, most)
-        if most < 1.0 or self._slowed:
+        if most < 1.0 or self._limited:
             rate = min(rate, self._rate + since * FASTER)
-        self._slowed = rate < min(1.0, 2.0 - 2.0 * behind)
+        self._limited = rate < min(1.0, 2.0 - 2.0 * behind)
         self._rate = rate if rate > CREEP else 0.0
         if now >= self._pursuit.until > -math.inf:
             self._pursuit.forget()
@@ -212,19 +222,19 @@ class Reference:
         short = self._trajectory is not None and self._trajectory.peak < SLOW
         self.alone = self.paused or self.waits or self.stood >= SETTLED or (self.alone and short)
 
-    def at(self, seconds: float) -> State:
-        """Return the predicted reference state `seconds` from now. Requires `start`."""
+    def at(self, seconds: float) -> MotionState:
+        """Return the predicted reference state `seconds` from now. `start` must be called first."""
         assert self._trajectory is not None
         state, turn = self._trajectory.at(self._elapsed + self._rate * seconds), self._pursuit.acceleration
-        return State(
+        return MotionState(
             state.position + turn * (self._rate * seconds * seconds / 2),
             (state.velocity + turn * seconds) * self._rate,
         )
 
-    def _halt(self, state: State) -> Point:
+    def _halt(self, state: MotionState) -> Point:
         return state.position + state.velocity * min(norm(state.velocity) / (2 * self.limits.acceleration), PAUSE)
 
-    def _run(self, now: float) -> State | None:
+    def _run(self, now: float) -> MotionState | None:
         if self._trajectory is None:
             return None
         self._elapsed += self._rate * max(0.0, min(now - self._time, LONGEST_STEP))
@@ -232,12 +242,12 @@ class Reference:
         return self._trajectory.at(self._elapsed)
 
     def _behind(self) -> int:
-        """Return the number of passed points."""
+        """Return the number of waypoints that the reference has passed."""
         if self._trajectory is None or self.paused:
             return self._passed
         return min(self._passed + self._trajectory.ahead(self._elapsed), len(self._points))
 
-    def _replan(self, state: State) -> None:
+    def _replan(self, state: MotionState) -> None:
         self._elapsed = 0.0
         if self.paused:
             self._trajectory = standing(state.position)
@@ -252,7 +262,9 @@ class Reference:
         self._trajectory = plan(state, ahead, self.limits)
 
     def _kept(self, trajectory: Trajectory) -> bool:
-        """Return whether, until the target counts as standing, braking from the trajectory ends within the box."""
+        """Return whether the reference can always brake inside the box while it pursues a moving target.
+
+        The trajectory is checked up to the time when the target counts as standing."""
         seconds = self._pursuit.until - self._time + 0.1
         steps = math.ceil(seconds / 0.1)
         return all(self.limits.safe(trajectory.at(seconds * i / steps)) for i in range(steps + 1))

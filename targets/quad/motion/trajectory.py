@@ -1,4 +1,4 @@
-"""Reference trajectory: straight legs between waypoints, within limits of speed, climb rate and acceleration.
+"""Reference trajectory: straight legs between waypoints, with limited speed and acceleration.
 
 A trajectory is a chain of pieces of constant acceleration. So its velocity is continuous, its speed is largest at an
 end of a piece, and its state can be computed for any time ahead.
@@ -33,14 +33,14 @@ ZERO = Point()
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class MotionLimits:
     """Limits of a trajectory.
 
     `speed`: m/s, of the velocity in three dimensions.
     `climb`: m/s, of the vertical speed, up or down.
     `acceleration`: m/s^2, in three dimensions.
-    `box`: contains every position, and every place where braking from the trajectory ends. So a later change of the
-    trajectory cannot leave the box either.
+    `box`: contains every position of the trajectory, and every place at which braking from the trajectory ends. So the
+    vehicle stays inside the box even if the trajectory changes later.
     """
 
     speed: float
@@ -55,10 +55,10 @@ class Limits:
         return self.most(_dot(direction, drift), direction.z, drift.z, self.speed**2 - _dot(drift, drift))
 
     def most(self, along: float, up: float, drift_up: float, room: float) -> float:
-        """Return the same as `top`, from precomputed numbers.
+        """Return the same result as `top`, from precomputed numbers.
 
-        `along`: dot product of direction and drift. `up`, `drift_up`: their vertical components. `room`: speed^2 -
-        drift^2."""
+        `along`: dot product of direction and drift. `up`, `drift_up`: vertical components of direction and drift.
+        `room`: speed^2 - drift^2."""
         s = math.sqrt(max(0.0, along * along + room)) - along
         if up > _STILL:
             s = min(s, (self.climb - drift_up) / up)
@@ -71,18 +71,18 @@ class Limits:
         size = norm(velocity)
         return velocity if size < _STILL else velocity * min(1.0, self.top(velocity / size) / size)
 
-    def stop(self, state: State) -> Point:
+    def stop(self, state: MotionState) -> Point:
         """Return the position at which braking from this state ends."""
         return state.position + state.velocity * (norm(state.velocity) / (2 * self.acceleration))
 
-    def safe(self, state: State) -> bool:
+    def safe(self, state: MotionState) -> bool:
         """Return whether braking from this state ends within the box."""
         return inside(self.box, self.stop(state))
 
 
 @dataclass(frozen=True, slots=True)
-class State:
-    """Position (m) and velocity (m/s) at a moment."""
+class MotionState:
+    """Position (m) and velocity (m/s) at one time."""
 
     position: Point
     velocity: Point = ZERO
@@ -93,32 +93,34 @@ class Piece:
     """Piece of a trajectory with constant acceleration. `ahead`: index of the next waypoint."""
 
     seconds: float
-    start: State
+    start: MotionState
     acceleration: Point
     ahead: int
 
-    def at(self, t: float) -> State:
+    def at(self, t: float) -> MotionState:
         """Return the state t seconds after the piece's beginning."""
         v = self.start.velocity
-        return State(self.start.position + v * t + self.acceleration * (t * t / 2), v + self.acceleration * t)
+        return MotionState(self.start.position + v * t + self.acceleration * (t * t / 2), v + self.acceleration * t)
 
 
 class Trajectory:
-    """Chain of pieces, followed by the state `end`, whose velocity is kept: zero unless the goal moves."""
+    """Chain of pieces of constant acceleration, which ends in the state `end`.
 
-    def __init__(self, pieces: Sequence[Piece], end: State, waypoints: int) -> None:
+    The velocity of `end` is kept after the last piece. It is zero unless the goal moves."""
+
+    def __init__(self, pieces: Sequence[Piece], end: MotionState, waypoints: int) -> None:
         self.pieces = tuple(pieces)
         self.end = end
         self._waypoints = waypoints
         self._ends = tuple(accumulate(p.seconds for p in self.pieces))
         self.seconds = self._ends[-1] if self._ends else 0.0
-        self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, its greatest speed
+        self.peak = max(norm(s.velocity) for s in (end, *(p.start for p in self.pieces)))  # m/s, largest speed
 
-    def at(self, t: float) -> State:
-        """Return the state t seconds after the beginning, t not negative."""
+    def at(self, t: float) -> MotionState:
+        """Return the state `t` seconds after the beginning of the trajectory, t >= 0."""
         i = bisect_right(self._ends, t)
         if i == len(self.pieces):
-            return State(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
+            return MotionState(self.end.position + self.end.velocity * (t - self.seconds), self.end.velocity)
         return self.pieces[i].at(t - self._ends[i] + self.pieces[i].seconds)
 
     def chords(self, t: float) -> list[Point]:
@@ -138,48 +140,50 @@ class Trajectory:
         return found
 
     def ahead(self, t: float) -> int:
-        """Return the index of the waypoint that comes next, or the number of waypoints at the end."""
+        """Return the index of the next waypoint after `t` seconds. At the end, it is the number of waypoints."""
         i = bisect_right(self._ends, t)
         return self.pieces[i].ahead if i < len(self.pieces) else self._waypoints
 
 
 def standing(at: Point, waypoints: int = 0) -> Trajectory:
     """Return a trajectory that stands at a place, with all waypoints passed."""
-    return Trajectory((), State(at), waypoints)
+    return Trajectory((), MotionState(at), waypoints)
 
 
-def plan(start: State, waypoints: Sequence[Point], limits: Limits, drift: Point = ZERO) -> Trajectory:
+def plan(start: MotionState, waypoints: Sequence[Point], limits: MotionLimits, drift: Point = ZERO) -> Trajectory:
     """Return a trajectory from a state along the waypoints (at least one) to a stand at the last one.
 
     The velocity of `start` must be within the limits. Waypoints and start must be finite.
 
-    `drift`: velocity of a moving waypoint (m/s, within the limits); it must then be the only one. The trajectory meets
-    the waypoint and moves on with it. It is planned in the frame that moves with the waypoint. There, the limit of
-    acceleration is the same, and the limits of speed are those of `Limits.top`."""
+    `drift`: velocity of a moving waypoint (m/s, within the limits). A moving waypoint must be the only waypoint. The
+    trajectory meets the waypoint and then moves with it. The trajectory is planned in the frame that moves with the
+    waypoint. In that frame, the limit of acceleration is the same, and `Limits.top` gives the limits of speed."""
     ahead = [i for i, p in enumerate(waypoints) if i + 1 == len(waypoints) or distance(p, waypoints[i + 1]) > CLOSE]
-    pieces = _entered(State(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
-    entry = pieces[-1].at(pieces[-1].seconds) if pieces else State(start.position)
+    pieces = _entered(MotionState(start.position, start.velocity - drift), waypoints[ahead[0]], limits, drift, ahead[0])
+    entry = pieces[-1].at(pieces[-1].seconds) if pieces else MotionState(start.position)
     if len(ahead) > 1 and norm(entry.velocity) < _STILL and distance(entry.position, waypoints[ahead[0]]) <= CLOSE:
-        ahead = ahead[1:]  # there already
+        ahead = ahead[1:]  # the trajectory has reached the first waypoint already
     nodes = [entry.position, *(waypoints[i] for i in ahead)]
     pieces += _legs(nodes, [ahead[0], *ahead], norm(entry.velocity), limits, drift)
     goal = waypoints[-1]
     if drift == ZERO:
-        return Trajectory(pieces, State(goal), len(waypoints))
+        return Trajectory(pieces, MotionState(goal), len(waypoints))
     moved, t = [], 0.0
     for p in pieces:
         moved.append(
-            Piece(p.seconds, State(p.start.position + drift * t, p.start.velocity + drift), p.acceleration, p.ahead)
+            Piece(
+                p.seconds, MotionState(p.start.position + drift * t, p.start.velocity + drift), p.acceleration, p.ahead
+            )
         )
         t += p.seconds
-    return Trajectory(moved, State(goal + drift * t, drift), len(waypoints))
+    return Trajectory(moved, MotionState(goal + drift * t, drift), len(waypoints))
 
 
-def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int) -> list[Piece]:
-    """Return the first piece, from the present velocity to one towards the goal.
+def _entered(start: MotionState, goal: Point, limits: MotionLimits, drift: Point, ahead: int) -> list[Piece]:
+    """Return the first piece, which turns the present velocity towards the goal; [] if the vehicle stands.
 
-    The new velocity is the fastest one that allows to stop at the goal. If nothing better stays within the limits, the
-    piece brakes. No piece if the vehicle is at rest."""
+    The new velocity is the fastest one from which the vehicle can stop at the goal. If no velocity towards the goal can
+    be reached within the limits, the piece brakes."""
     speed = norm(start.velocity)
     if speed < _STILL:
         return []
@@ -197,13 +201,18 @@ def _entered(start: State, goal: Point, limits: Limits, drift: Point, ahead: int
     return [best]
 
 
-def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point, ahead: int) -> Piece | None:
-    """Return a piece at whose end the velocity points to the goal, with the speed `fast` or what the limits allow.
+def _turned(
+    start: MotionState, goal: Point, fast: float, limits: MotionLimits, drift: Point, ahead: int
+) -> Piece | None:
+    """Return a piece at whose end the velocity points to the goal.
+
+    The speed at its end is `fast`, or less if the limits of speed require it.
 
     Return None if the distance is too short to stop at the goal, or if braking within the piece would leave the box.
 
     With T = |s u - v| / a, the piece ends at p + (v + s u) T / 2. So the unit vector u must point from c = p + v T / 2
-    to the goal. That is a fixed point, found by iteration; at first, u points from where braking would end.
+    to the goal. Fixed-point iteration solves this for u. The first u points to the goal from the place where braking
+    would end.
     """
     a, v = limits.acceleration, start.velocity
     u = goal - limits.stop(start)
@@ -238,8 +247,10 @@ def _turned(start: State, goal: Point, fast: float, limits: Limits, drift: Point
     return Piece(seconds, start, push, ahead)
 
 
-def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) -> bool:
-    """Return `Limits.safe` of a piece's state after t seconds, converted from the moving frame by the drift."""
+def _stays(start: MotionState, push: Point, t: float, drift: Point, limits: MotionLimits) -> bool:
+    """Return whether braking from a piece's state after `t` seconds ends inside the box.
+
+    `start` and `push` are in the frame that moves with `drift`."""
     p, v, half = start.position, start.velocity, t * t / 2
     vx, vy, vz = v.x + push.x * t + drift.x, v.y + push.y * t + drift.y, v.z + push.z * t + drift.z
     far = math.hypot(vx, vy, vz) / (2 * limits.acceleration)
@@ -251,12 +262,14 @@ def _stays(start: State, push: Point, t: float, drift: Point, limits: Limits) ->
     return inside(limits.box, Point(x, y, z))
 
 
-def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, drift: Point) -> list[Piece]:
-    """Return straight legs between the nodes, with parabolas at the inner nodes, from the speed `entry` to a stand."""
+def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: MotionLimits, drift: Point) -> list[Piece]:
+    """Return straight legs between the nodes, with parabolas at the inner nodes.
+
+    The speed is `entry` at the first node, and 0 at the last one."""
     a, last = limits.acceleration, len(nodes) - 1
     lengths = [distance(nodes[i], nodes[i + 1]) for i in range(last)]
     if lengths[0] < _STILL:
-        return []  # the only leg left, and there already
+        return []  # only one leg is left, and the vehicle is already at its end
     units = [(nodes[i + 1] - nodes[i]) / lengths[i] for i in range(last)]
     tops = [limits.top(u, drift) for u in units]
     bends = [0.0, *(distance(units[i], units[i + 1]) for i in range(last - 1)), 0.0]
@@ -272,7 +285,7 @@ def _legs(nodes: list[Point], ahead: list[int], entry: float, limits: Limits, dr
         if bends[i + 1] > _STILL and speed > _STILL:
             seconds = speed * bends[i + 1] / a
             turn = (units[i + 1] - u) * (speed / seconds)
-            pieces.append(Piece(seconds, State(nodes[i + 1] - u * cut_next, u * speed), turn, ahead[i + 2]))
+            pieces.append(Piece(seconds, MotionState(nodes[i + 1] - u * cut_next, u * speed), turn, ahead[i + 2]))
     return pieces
 
 
@@ -284,8 +297,9 @@ def _speeds(lengths: list[float], tops: list[float], bends: list[float], entry: 
     last = len(lengths)
     w = [entry * entry, *(0.0 for _ in range(last))]
     for i in range(1, last):
-        # `within`: limit from CORNER, for cutting the corner and for braking within it, which leads to its outside. In
-        # a gentle bend at high speed, braking leads further outside than cutting leads inside.
+        # `within`: limit that keeps the vehicle within CORNER of the polyline when it cuts the corner, and when it
+        # brakes in the corner, which leads to the corner's outside. In a gentle bend at high speed, braking leads
+        # farther outside than cutting leads inside.
         within = 8 * a * CORNER / max(bends[i] ** 2, min(1.0, 4 * bends[i]), _STILL)
         halves = a * min(lengths[i - 1], lengths[i]) / max(bends[i], _STILL)
         w[i] = min(tops[i - 1] ** 2, tops[i] ** 2, within, halves)
@@ -313,7 +327,7 @@ def _straight(
         (flat / max(peak, _STILL), up, peak, 0.0),
         ((peak - final) / a, length - down, peak, -a),
     )
-    return [Piece(t, State(start + u * s, u * v), u * push, ahead) for t, s, v, push in parts if t > 0.0]
+    return [Piece(t, MotionState(start + u * s, u * v), u * push, ahead) for t, s, v, push in parts if t > 0.0]
 
 
 def norm(v: Point) -> float:

@@ -1,7 +1,8 @@
 """Yaw control: computes the commanded yaw, and checks that the vehicle's yaw follows it.
 
-The commanded yaw turns at TURN at most, which an autopilot can follow. So a lasting difference means that the vehicle
-does not obey. Yaws are in radians from east, counter-clockwise; rates in rad/s.
+The commanded yaw turns at the rate TURN at most, which an autopilot can follow. So a lasting difference between the
+vehicle's yaw and the commanded yaw means that the vehicle does not obey. Yaws are in radians from east,
+counter-clockwise; rates in rad/s.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from targets.quad.autopilot.telemetry import Telemetry
 
 TURN = 0.6  # rad/s, maximum rate of the commanded yaw
 OFF, OFF_FOR = 0.6, 2.0  # rad, s: an error of the vehicle's yaw above OFF that lasts longer than OFF_FOR is a failure
-SPIN, SPIN_FOR = 0.8, 1.0  # rad/s, s: so is a change of that error faster than SPIN that lasts longer than SPIN_FOR
-WINDOW = 0.2  # s over which the rate of change is measured
+SPIN, SPIN_FOR = 0.8, 1.0  # rad/s, s: a yaw error that changes faster than SPIN for longer than SPIN_FOR is a failure
+WINDOW = 0.2  # s over which the rate of change of the yaw error is measured
 MOVING = 0.2  # m/s; with policy "forward", the yaw follows the direction of motion above this horizontal speed
-LONGEST = 0.5  # s; a gap between two steps counts as no more than this
-LOOK = "look at the compass or the heading that is fed, the motors, and the autopilot's ATC_ parameters for yaw"
-RECEIVER = "an ArduPilot 4.7.0 from before the release that has no receiver needs GUID_OPTIONS 4"
+LONGEST = 0.5  # s; a longer time between two steps counts as this time
+LOOK = "check the compass or the position feed's heading, the motors, and the autopilot's ATC_ parameters for yaw"
+RECEIVER = "a pre-release build of ArduPilot 4.7.0 without a radio receiver needs GUID_OPTIONS 4"
 
 
 def heading(text: str) -> str | float:
@@ -34,20 +35,22 @@ def heading(text: str) -> str | float:
 
 
 class Yaw:
-    """Yaw control of one vehicle. `policy`: see `heading`.
+    """Yaw control of one vehicle. `policy`: result of `heading`.
 
-    `commanded` starts with the vehicle's own yaw, and is None until that is known."""
+    `commanded`: the commanded yaw (rad). It starts with the vehicle's yaw, and is None until that yaw is known."""
 
     def __init__(self, policy: str | float) -> None:
         self._policy = policy
         self.commanded: float | None = None
-        self._time = 0.0  # when `commanded` was computed
-        self._off: float | None = None  # since when the difference is too large
-        self._spinning: float | None = None  # since when the difference changes too fast
-        self._last: tuple[float, float] | None = None  # time and difference at the beginning of the window
+        self._time = 0.0  # time at which the commanded yaw was computed last
+        self._off: float | None = None  # time since which the yaw error is above OFF
+        self._spinning: float | None = None  # time since which the yaw error changes faster than SPIN
+        self._last: tuple[float, float] | None = None  # time and yaw error at the beginning of the WINDOW
 
     def forget(self) -> None:
-        """Forget the commanded yaw. The next command starts with the vehicle's yaw, as it may be turned by hand."""
+        """Forget the commanded yaw, so that the next command starts with the vehicle's yaw.
+
+        A person may turn the vehicle by hand."""
         self.commanded = None
         self.pause()
 
@@ -56,16 +59,16 @@ class Yaw:
         self._off = self._spinning = self._last = None
 
     def keep(self, state: Telemetry, now: float) -> None:
-        """Keep the commanded yaw, during the take-off climb; start with the vehicle's yaw."""
+        """Keep the commanded yaw during the take-off climb. The first commanded yaw is the vehicle's yaw."""
         if self.commanded is None:
             self.commanded = state.yaw
         self._time = now
 
     def command(self, state: Telemetry, velocity: Point, now: float) -> float | None:
-        """Return the yaw to send with a setpoint; `velocity` (m/s): the reference's. None if the yaw is unknown.
+        """Return the yaw to send with the next setpoint; None if the vehicle's yaw is unknown.
 
-        A yaw is sent with every setpoint, because otherwise ArduPilot turns to the direction of flight
-        (WP_YAW_BEHAVIOR)."""
+        `velocity`: velocity of the reference (m/s). A yaw is sent with every setpoint, because otherwise ArduPilot
+        turns the vehicle to the direction of flight (WP_YAW_BEHAVIOR)."""
         seconds = min(now - self._time, LONGEST)
         self.keep(state, now)
         if self.commanded is None:
@@ -81,7 +84,7 @@ class Yaw:
         return self.commanded
 
     def watch(self, state: Telemetry) -> None:
-        """Compare the vehicle's yaw with the commanded one. Raises Unready if the vehicle does not obey."""
+        """Compare the vehicle's yaw with the commanded yaw. Raises Unready if the vehicle does not obey."""
         if self.commanded is None or state.time is None:
             return
         now = state.time
@@ -101,7 +104,7 @@ class Yaw:
         if self._spinning is not None and now - self._spinning > SPIN_FOR:
             hint = f"{RECEIVER}; else {LOOK}" if state.firmware is ARDUPILOT else LOOK
             raise Unready(
-                f"the vehicle turns by itself, {abs(rate):.1f} rad/s more than is commanded, more than {SPIN:g} rad/s "
-                f"for {SPIN_FOR:g} s",
+                f"the vehicle turns by itself: its yaw rate is {abs(rate):.1f} rad/s off the commanded rate, "
+                f"and was more than {SPIN:g} rad/s off for {SPIN_FOR:g} s",
                 hint,
             )

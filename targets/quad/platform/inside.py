@@ -1,4 +1,4 @@
-"""Construction of a quad's platform for a simulator that controls time and runs in the same process."""
+"""Construction of the quad's platform for a simulator that controls time and runs in the same process."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from targets.quad.platform.platform import Quad
 
 
 def made(settings: Settings, key: bytes | None, inside: SimulatorServices) -> Quad:
-    """Return a quad whose links, clocks and planner are the simulator's.
+    """Return a quad that uses a simulator's links, clocks and planner. `key`: the fleet's key.
 
-    See koordgen.runtime.vehicle.simulator_services."""
+    `inside`: the simulator's services, described in koordgen.runtime.vehicle.simulator_services."""
     return Quad(
         settings,
         key,

@@ -1,9 +1,11 @@
-"""Platform of a multicopter with an ArduPilot or PX4 autopilot: the ports Motion and MotionWithScan over MAVLink 2.
+"""Platform of a multicopter with an ArduPilot or PX4 autopilot, which it controls over MAVLink 2.
+
+It serves the modules Motion and MotionWithScan:
 
 Sensors `position` and `velocity`: the autopilot's estimate.
-Actuator `target`: approached in a straight line at `max_speed`, and at `flight_height` or above.
-Actuator `path`: its points are approached one after the other.
-Sensor `reached`: the quad has arrived and stands still.
+Actuator `target`: the quad flies to it in a straight line, at `max_speed` at most and at `flight_height` or above.
+Actuator `path`: the quad flies to the path's points one after the other.
+Sensor `reached`: true if the quad has arrived and stands still.
 """
 
 from __future__ import annotations
@@ -31,22 +33,22 @@ from targets.planning.process import Beside
 from targets.planning.route import commanded, passed
 from targets.planning.standstill import Unplanned
 from targets.quad.autopilot.check import listen
-from targets.quad.autopilot.diagnosis import findings
+from targets.quad.autopilot.diagnosis import checks
 from targets.quad.autopilot.firmware import Firmware
-from targets.quad.autopilot.flight import Flight, Phase
+from targets.quad.autopilot.flight import Flight, FlightPhase
 from targets.quad.autopilot.positioning import Positioning
 from targets.quad.autopilot.telemetry import Telemetry
-from targets.quad.motion.avoidance import Avoidance, MakePlanning, Size
+from targets.quad.motion.avoidance import MakePlanning, QuadAvoidance, Size
 from targets.quad.motion.landing import Landing
 from targets.quad.motion.motion import Motion
 from targets.quad.motion.setpoint import Aim, setpoint
 from targets.quad.motion.yaw import heading
 
-MODULES = ("Motion", "MotionWithScan")  # one vehicle under two names; the second has a lidar
+MODULES = ("Motion", "MotionWithScan")  # both modules control the same vehicle; MotionWithScan adds a lidar
 
 
 class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Settings of a quad in the fleet file (`settings:`). Units, bounds and defaults are those of manifest.toml."""
+    """Settings of a quad in the fleet file (`settings:`). manifest.toml explains each setting."""
 
     autopilot: str = "udpin:127.0.0.1:14550"
     flight_height: Annotated[float, msgspec.Meta(ge=0.3, le=100.0)] = 1.5
@@ -75,9 +77,11 @@ def _bind(setting: str) -> DatagramLink:
 class Quad:
     """Platform of a quad: implements koordgen.runtime.vehicle.platform.Platform.
 
-    `key`: the fleet's key. It authenticates position and lidar feeds; the autopilot's link is a wire or loopback.
-    `connect`, `bind`, `scans`: open the links to the autopilot, the position feed and the lidar.
-    `wall`: the time of day. `clock`, `sleep`: used by `diagnose` only. Simulators replace all of these.
+    `key`: the fleet's key, which authenticates the position feed and the lidar's scans. The link to the autopilot needs
+    no key, because it is a wire or the loopback interface.
+    `connect`, `bind`, `scans`: functions that open the links to the autopilot, the position feed and the lidar.
+    `wall`: function that returns the time of day. `clock`, `sleep`: used by `diagnose` only.
+    `planning`: makes the planner. A simulator passes its own links, clocks and planner.
     """
 
     period = 0.05
@@ -114,16 +118,16 @@ class Quad:
                 f"settings of {settings.robot}: body: yaw {body.yaw!r} is not keep, forward or an angle"
             ) from None
         size = Size(body.radius, body.tracking_error, body.position_error)
-        self._avoidance = Avoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
+        self._avoidance = QuadAvoidance(settings, body.flight_height, size, body.clearance, body.planner, planning)
         self._motion = Motion(
             self._frame, fence, body.flight_height, body.max_speed, body.max_acceleration, body.max_climb,
-            body.reached_radius, body.reached_dwell, yaw, ways=self._avoidance, action=settings.safety.missed_action,
+            body.reached_radius, body.reached_dwell, yaw, space=self._avoidance, action=settings.safety.missed_action,
         )  # fmt: skip
         self._landing = Landing(settings.pid, self._avoidance.spacing, self._avoidance)
-        self._steered = False  # whether the last poll steered the quad, and nothing was wrong
+        self._steered = False  # whether the last poll steered the quad by a trusted position
         self._connect, self._clock, self._sleep, self._wall = connect, clock, sleep, wall
         self._lidar = ScanPort(body.scans, settings.robot, key, scans)
-        self._positioning: Positioning | None = None  # None: the vehicle's own
+        self._positioning: Positioning | None = None  # None: the autopilot has its own position source
         if body.positioning != "own":
             self._positioning = Positioning(
                 body.positioning, body.feed, settings, key, self._frame, body.max_speed, bind, wall
@@ -135,9 +139,9 @@ class Quad:
         self._unplanned = Unplanned()
 
     def diagnose(self) -> list[Finding]:
-        """See Platform: checks the autopilot, the feeds and the planner.
+        """Check the autopilot, the position feed, the planner and the lidar. Return the results.
 
-        Meanwhile, a position feed is forwarded to the autopilot."""
+        During the check, the samples of a position feed are forwarded to the autopilot."""
         vehicle = self._diagnose_vehicle()
         return [*vehicle, self._avoidance.diagnose(self._sleep), *self._lidar.diagnose(self._sleep)]
 
@@ -164,11 +168,11 @@ class Quad:
             if positioning is not None:
                 positioning.close()
         if positioning is not None and not fed:
-            fed = positioning.findings(heard.telemetry, self._clock())
-        return [*fed, *findings(url, heard, self._frame, self._fence, self._body.flight_height)]
+            fed = positioning.checks(heard.telemetry, self._clock())
+        return [*fed, *checks(url, heard, self._frame, self._fence, self._body.flight_height)]
 
     def start(self, now: float) -> None:
-        """See Platform: opens the links; `poll` then takes off."""
+        """Open the links to the robot's devices, and start the planner. `poll` then takes off. Raises Unready."""
         url = self._body.autopilot
         self._now = now
         self._avoidance.start()
@@ -187,14 +191,14 @@ class Quad:
             self._link.send(setpoint(self._link.vehicle, self._frame, self._fence, Aim(p)))
 
     def _wanted(self, firmware: Firmware) -> tuple[Wanted, ...]:
-        """Return the parameters that matter on this firmware, with these settings."""
+        """Return the autopilot's parameters that the agent checks, for this firmware and this quad's settings."""
         fed = self._positioning.wanted(firmware) if self._positioning is not None else ()
         if self._body.allow_no_failsafe:
             return (*(replace(w, vital=False) for w in firmware.parameters), *fed)
         return (*firmware.parameters, *fed)
 
     def poll(self, now: float) -> None:
-        """See Platform."""
+        """Receive telemetry and feeds, supervise the flight, and send the next setpoint. Raises Unready."""
         if self._flight is None or self._link is None:
             raise Unready("the quad was not started")
         self._now, self._steered = now, False
@@ -204,9 +208,9 @@ class Quad:
         if self._positioning is not None:
             self._positioning.poll(self._link, self._flight, self._telemetry, now)
             self._motion.hold(self._held or self._positioning.held, now)
-        if self._flight.phase is Phase.CLIMBING:
+        if self._flight.phase is FlightPhase.CLIMBING:
             self._motion.rise(self._telemetry, now)
-        elif self._flight.phase is not Phase.FLYING:
+        elif self._flight.phase is not FlightPhase.FLYING:
             self._motion.coast(now)
         elif self._telemetry.fresh(now):
             self._motion.steer(self._link, self._telemetry, now)
@@ -216,13 +220,13 @@ class Quad:
 
     @property
     def ready(self) -> bool:
-        """True if the quad stands at flight height, and everything that it needs works.
+        """True if the quad hovers at flight height and can begin its mission.
 
-        That is: a live link, a fresh position, an autopilot that follows setpoints, lidar scans if there is a lidar, a
-        planner, and a trusted position source."""
+        The mission requires a live link to the autopilot, a fresh position, an autopilot that follows setpoints, lidar
+        scans if there is a lidar, a planner, and a trusted position source."""
         return (
             self._flight is not None
-            and self._flight.phase is Phase.FLYING
+            and self._flight.phase is FlightPhase.FLYING
             and self._link is not None
             and self._link.alive(self._now)
             and self._telemetry.fresh(self._now)
@@ -235,7 +239,7 @@ class Quad:
 
     @property
     def progress(self) -> str:
-        """See Platform; includes the autopilot's own reasons for refusing to arm."""
+        """Present activity of the quad, for the log. Includes the autopilot's reasons for refusing to arm."""
         if self._flight is None:
             return "not started"
         refused = f"; {self._motion.refused} targets were not finite" if self._motion.refused else ""
@@ -245,14 +249,18 @@ class Quad:
 
     @property
     def stall(self) -> str:
-        """See Platform."""
-        if self._held or self.rested:
+        """Reason why the quad has no path to the commanded place, in words.
+
+        It is "" if the quad has a path, is held, or has landed."""
+        if self._held or self.stopped:
             return ""
         idle = self._unplanned.why(self._now) if self._motion.reached else ""
         return self._avoidance.refusal or self._motion.stall or idle
 
     def sense(self, now: float) -> Sensed:
-        """See Platform. Before the first estimate the position is the origin, and `time` is None."""
+        """Return the present sensor values.
+
+        Before the autopilot's first estimate, the position is the origin and `time` is None."""
         state = self._telemetry
         reached = self._motion.reached and not self._avoidance.refusal
         ports = {"position": state.position or Point(), "velocity": state.velocity, "reached": reached}
@@ -262,26 +270,31 @@ class Quad:
 
     @property
     def vitals(self) -> Vitals:
-        """See Examined."""
+        """Yaw (rad from east) and battery charge (0 to 1) of the quad; None for an unknown value."""
         return Vitals(self._telemetry.yaw, self._telemetry.battery)
 
     @property
     def _vouched(self) -> float | None:
-        """Time of the last trusted position: reported by the autopilot and, if external, confirmed by its source."""
+        """Time of the last trusted position, in seconds on the agent's clock; None before the first one.
+
+        The autopilot has reported this position. External positioning must have confirmed it, too."""
         told = self._telemetry.time
         if self._positioning is None or told is None:
             return told
         return None if self._positioning.vouched is None else min(told, self._positioning.vouched)
 
     def command(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Platform. A command that is not finite is refused, counted, and shown in `progress`.
+        """Fly to the target or along the path that the program commands.
 
-        If a command leads into an obstacle of the fleet file, the quad holds instead, and reports that."""
+        A command that is not finite is refused and counted; `progress` reports the count. If the way leads into an
+        obstacle of the fleet file, the quad holds instead, and `stall` gives the reason."""
         for points in commanded(actuators, MODULES):
             self._command(points, now)
 
     def resume(self, actuators: Mapping[str, Any], now: float) -> None:
-        """See Resumes. The leg to the next point is planned if it is not clear."""
+        """Continue the path that the agent followed before its restart.
+
+        If the straight leg to the path's next point is not clear of obstacles, the planner plans a leg."""
         position = self._telemetry.position
         for points in commanded(actuators, MODULES):
             if position is not None and points and transmissible(points):
@@ -290,7 +303,9 @@ class Quad:
                 self._command(points, now)
 
     def _command(self, points: tuple[Point, ...], now: float, behind: int | None = None) -> None:
-        """Fly along these points if the path is admitted. `behind`: number of points that a resumed quad has passed."""
+        """Fly along these points if the path is clear of obstacles, else hold.
+
+        `behind`: number of points that a resumed quad has passed; None for a new command."""
         if points:
             self._unplanned.commanded()
         held, avoidance = self._avoidance.refusal, self._avoidance
@@ -304,36 +319,36 @@ class Quad:
             self._motion.command((), now)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """See Platform. The only callable port is `planner(goal, obstacles)`."""
+        """Call the only callable port, `planner(goal, obstacles)`, and return the planned path."""
         path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
         self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
         return path
 
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
-        """See Platform."""
+        """Store the paths that the other robots have published, by their pids."""
         self._avoidance.others(paths)
 
-    def news(self) -> list[str]:
-        """See Platform."""
-        told = self._positioning.news() if self._positioning is not None else []
-        return [*told, *self._avoidance.news(), *self._motion.news(), *self._landing.news()]
+    def log_lines(self) -> list[str]:
+        """Return the log lines of positioning, planner, motion control and landing since the last call."""
+        told = self._positioning.log_lines() if self._positioning is not None else []
+        return [*told, *self._avoidance.log_lines(), *self._motion.log_lines(), *self._landing.log_lines()]
 
     def hold(self, on: bool, now: float) -> None:
-        """See Platform."""
+        """Hold the position, or end the hold. A held quad on the ground does not take off."""
         self._held = on
         self._motion.hold(on or (self._positioning is not None and self._positioning.held), now)
         if self._flight is not None:
             self._flight.grounded = on
 
-    def rest(self, now: float) -> None:
-        """See Platform: lands, away from the positions and paths that other robots have published.
+    def stop(self, now: float) -> None:
+        """Make the safe stop: land, away from the positions and paths that other robots have published.
 
-        A vehicle that a pilot or a failsafe has taken over is left to them."""
+        If a pilot or a failsafe has taken over the vehicle, the agent sends it no more commands."""
         if self._flight is not None and not self._moves_aside(now):
-            self._flight.rest(now)
+            self._flight.stop(now)
 
     def _moves_aside(self, now: float) -> bool:
-        """Return whether the quad flies to another place to land, because a robot may be below."""
+        """Return whether the quad first flies to another landing place, because another robot may be below it."""
         position = self._telemetry.position
         if not self._steered or position is None or not inside(self._fence, position):
             return False
@@ -345,12 +360,14 @@ class Quad:
         return place is not None
 
     @property
-    def rested(self) -> bool:
-        """True if the quad has landed and disarmed, was taken over by a pilot or a failsafe, or was never commanded."""
-        return self._flight is None or self._flight.phase is Phase.RESTED
+    def stopped(self) -> bool:
+        """True if the quad's part of the mission has ended.
+
+        The quad has landed and disarmed, was taken over by a pilot or a failsafe, or was never commanded."""
+        return self._flight is None or self._flight.phase is FlightPhase.STOPPED
 
     def close(self) -> None:
-        """See Platform."""
+        """Close the links to the robot's devices, and end the planner's process."""
         if self._link is not None:
             self._link.close()
             self._link = None

@@ -1,8 +1,11 @@
 """Platform of a quad without an autopilot, on a simulated vehicle that flies at a commanded velocity.
 
-For simulations of fidelity `simple`. Programs observe the same behaviour as on a real quad. It takes off before it is
-ready. Targets are raised to the flight height and kept inside the geofence. Paths are planned and refused. The quad
-holds, and its safe stop is a landing.
+The platform serves simulations of fidelity `simple`. A program observes the same behaviour as on a real quad:
+
+- The quad takes off before it reports that it is ready.
+- Targets are raised to the flight height and kept inside the geofence.
+- Paths are planned around obstacles, and paths that lead into obstacles are refused.
+- The quad holds its position on request, and its safe stop is a landing.
 """
 
 from __future__ import annotations
@@ -28,14 +31,14 @@ from targets.quad.platform.platform import Quad
 
 LAG = 0.15  # s, lag of the simulated vehicle's velocity behind the commanded one
 GAIN = 2.0  # 1/s, proportional gain from position error (m) to velocity (m/s)
-TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, proportional gain from yaw error to yaw rate; rad/s, its limit
+TURNING_GAIN, MAX_TURNING = 2.0, 1.5  # 1/s, proportional gain from yaw error to yaw rate; rad/s, maximum yaw rate
 SINKING = 0.5  # m/s, descent rate of a landing
-ARRIVED = 0.05  # m below the flight height at which the climb is complete
-LANDED, SETTLING = 0.05, 0.5  # m, s: a quad below the height LANDED for SETTLING counts as landed
-GONE = 10.0  # s without a state of the simulated vehicle after which a landing quad gives up: the simulator has ended
+ARRIVED = 0.05  # m; the climb ends when the quad is less than this distance below the flight height
+LANDED, SETTLING = 0.05, 0.5  # m, s: a quad that stays below the height LANDED for the time SETTLING counts as landed
+GONE = 10.0  # s; if the simulator sends no vehicle state for this long during a landing, the simulator has ended
 
 
-class Seen(Protocol):
+class QuadTruth(Protocol):
     """State of the simulated vehicle: position (m) and velocity (m/s) in ENU, and yaw (rad)."""
 
     @property
@@ -49,10 +52,10 @@ class Seen(Protocol):
 
 
 class Flyer(Protocol):
-    """Simulated vehicle. It flies on at the velocity that was commanded last."""
+    """Interface of a simulated vehicle, which keeps flying at the last commanded velocity."""
 
-    def state(self) -> Seen | None:
-        """Return the state, or None if the position is unknown now."""
+    def state(self) -> QuadTruth | None:
+        """Return the vehicle's state, or None while the vehicle's position is unknown."""
         ...
 
     def fly(self, velocity: tuple[float, float, float], yaw_rate: float) -> None: ...
@@ -60,27 +63,27 @@ class Flyer(Protocol):
     def motors(self, on: bool) -> None: ...
 
 
-class Phase(enum.Enum):
-    """Phase of a flight. The phases follow each other in this order."""
+class SimplePhase(enum.Enum):
+    """Phases of a flight, in their order."""
 
     GROUNDED = "waiting to take off"
     CLIMBING = "climbing"
     FLYING = "flying"
     LANDING = "landing"
-    RESTED = "at rest"
+    STOPPED = "at rest"
 
 
 class SimpleMotion(Motion):
     """Motion control that commands velocities to a simulated vehicle instead of setpoints to an autopilot."""
 
     def fly(self, body: Flyer, state: Telemetry, now: float) -> None:
-        """Command the next velocity and yaw rate."""
+        """Command the simulated vehicle's next velocity and yaw rate."""
         position = state.position
         if position is None:
             return
         self._attend(position, state.velocity, now)
         self.followed = True
-        # The velocity is that of the reference after LAG, which compensates the vehicle's lag.
+        # The command is the reference's velocity LAG seconds ahead, because the vehicle's velocity lags by this time.
         velocity = self._reference.at(LAG).velocity + (self._reference.at(0.0).position - position) * GAIN
         v = self._limits.limited(velocity)
         yaw = self._yaw.command(state, self._reference.at(0.0).velocity, now)
@@ -89,7 +92,9 @@ class SimpleMotion(Motion):
 
 
 def turning(yaw: float | None, wanted: float | None) -> float:
-    """Return the yaw rate (rad/s) that turns from the yaw towards the wanted yaw (rad)."""
+    """Return the yaw rate (rad/s) that turns a vehicle from `yaw` to `wanted` (rad).
+
+    The rate is 0 if `yaw` or `wanted` is None."""
     if yaw is None or wanted is None:
         return 0.0
     off = (wanted - yaw + math.pi) % math.tau - math.pi
@@ -97,7 +102,9 @@ def turning(yaw: float | None, wanted: float | None) -> float:
 
 
 class SimpleQuad(Quad):
-    """Platform of a simulated quad: implements koordgen.runtime.vehicle.platform.Platform."""
+    """Platform of a quad that is simulated without an autopilot.
+
+    Implements koordgen.runtime.vehicle.platform.Platform."""
 
     def __init__(
         self, settings: Settings, key: bytes | None, flyer: Flyer, *,
@@ -105,37 +112,37 @@ class SimpleQuad(Quad):
     ) -> None:  # fmt: skip
         super().__init__(settings, key, scans=scans, planning=planning)
         self._flyer = flyer
-        self._positioning = None  # not needed, because the simulator reports the position
+        self._positioning = None  # no external positioning, because the simulator reports the position
         own = self._body
         self._motion = self._direct = SimpleMotion(
             self._frame, settings.geofence, own.flight_height, own.max_speed, own.max_acceleration, own.max_climb,
-            own.reached_radius, own.reached_dwell, heading(own.yaw), ways=self._avoidance,
+            own.reached_radius, own.reached_dwell, heading(own.yaw), space=self._avoidance,
             action=settings.safety.missed_action,
         )  # fmt: skip
-        self._phase = Phase.GROUNDED
+        self._phase = SimplePhase.GROUNDED
         self._started = False
-        self._descent = 0.0  # start of the landing
-        self._low: float | None = None  # since when the landing quad is as low as the ground
+        self._descent = 0.0  # s, time at which the landing began
+        self._low: float | None = None  # s, time at which the landing quad came below the height LANDED
 
     def diagnose(self) -> list[Finding]:
-        """See Platform: a simulated vehicle has nothing to check."""
+        """Return one passed check, because a simulated vehicle has nothing to check before a mission."""
         return [Finding("body", "ok", "a simple one")]
 
     def start(self, now: float) -> None:
-        """See Platform."""
+        """Start the planner's process, and open the lidar's port. `poll` then takes off."""
         self._now, self._started = now, True
         self._avoidance.start()
         self._lidar.open()
 
     def poll(self, now: float) -> None:
-        """See Platform."""
+        """Read the simulated vehicle's state, and command its next motion. Raises Unready."""
         if not self._started:
             raise Unready("the quad was not started")
         self._now, self._steered = now, False
         self._lidar.poll(now)
         self._avoidance.poll()
         self._see(now)
-        if self._phase is Phase.FLYING:
+        if self._phase is SimplePhase.FLYING:
             if self._telemetry.fresh(now):
                 self._direct.fly(self._flyer, self._telemetry, now)
                 self._steered = True
@@ -144,8 +151,10 @@ class SimpleQuad(Quad):
             self._flyer.fly((0.0, 0.0, 0.0), 0.0)
         elif self._telemetry.position is not None:
             self._move(self._telemetry.position, now)
-        if self._phase is Phase.LANDING and now - max(self._descent, self._telemetry.time or 0.0) > GONE:
-            raise Unready(f"nothing has been heard of the simulated body for {GONE:g} s", "did its simulator end?")
+        if self._phase is SimplePhase.LANDING and now - max(self._descent, self._telemetry.time or 0.0) > GONE:
+            raise Unready(
+                f"the simulator has sent no vehicle state for {GONE:g} s", "check whether the simulator has ended"
+            )
 
     def _see(self, now: float) -> None:
         seen, known = self._flyer.state(), self._telemetry
@@ -154,65 +163,67 @@ class SimpleQuad(Quad):
             known.yaw, known.time = seen.yaw, now
 
     def _move(self, position: Point, now: float) -> None:
-        """Run the phases other than flying: take off, climb, land."""
+        """Control the vehicle on the ground, in the climb and in the landing."""
         match self._phase:
-            case Phase.GROUNDED if not self._held:
-                self._phase = Phase.CLIMBING
+            case SimplePhase.GROUNDED if not self._held:
+                self._phase = SimplePhase.CLIMBING
                 self._flyer.motors(True)
-            case Phase.CLIMBING:
-                self._flyer.motors(True)  # repeated, because a command to the simulator's process may be lost
+            case SimplePhase.CLIMBING:
+                self._flyer.motors(True)  # sent in each poll, because a command to the simulator may be lost
                 left = self._body.flight_height - position.z
                 self._flyer.fly((0.0, 0.0, min(self._body.max_climb, GAIN * max(left, ARRIVED))), 0.0)
                 if left < ARRIVED:
-                    self._phase = Phase.FLYING
-            case Phase.LANDING:
+                    self._phase = SimplePhase.FLYING
+            case SimplePhase.LANDING:
                 self._flyer.fly((0.0, 0.0, -SINKING), 0.0)
                 low = position.z < LANDED and abs(self._telemetry.velocity.z) < SINKING / 2
                 self._low = None if not low else now if self._low is None else self._low
                 if self._low is not None and now - self._low >= SETTLING:
                     self._flyer.motors(False)
-                    self._phase = Phase.RESTED
+                    self._phase = SimplePhase.STOPPED
 
     @property
     def ready(self) -> bool:
-        """See Platform."""
-        there = self._phase is Phase.FLYING and self._telemetry.fresh(self._now) and self._motion.followed
+        """True if the quad flies with a fresh position, and lidar and planner are ready."""
+        there = self._phase is SimplePhase.FLYING and self._telemetry.fresh(self._now) and self._motion.followed
         return there and not self._lidar.waiting and not self._avoidance.waiting
 
     @property
     def progress(self) -> str:
-        """See Platform."""
+        """Phase of the flight, and the devices that the quad still waits for, for the log."""
         waiting = "".join(f"; {what}" for what in (self._lidar.waiting, self._avoidance.waiting) if what)
         return self._phase.value + waiting
 
     def hold(self, on: bool, now: float) -> None:
-        """See Platform."""
+        """Hold the position, or end the hold. A held quad on the ground does not take off."""
         self._held = on
         self._motion.hold(on, now)
 
-    def rest(self, now: float) -> None:
-        """See Platform: lands."""
+    def stop(self, now: float) -> None:
+        """Make the safe stop: land, at first moving aside if another robot may be below."""
         if self._moves_aside(now):
             return
-        if self._phase in (Phase.CLIMBING, Phase.FLYING):
-            self._phase, self._descent = Phase.LANDING, now
+        if self._phase in (SimplePhase.CLIMBING, SimplePhase.FLYING):
+            self._phase, self._descent = SimplePhase.LANDING, now
             self._motion.coast(now)
-        elif self._phase is Phase.GROUNDED:
-            self._phase = Phase.RESTED
+        elif self._phase is SimplePhase.GROUNDED:
+            self._phase = SimplePhase.STOPPED
 
     @property
-    def rested(self) -> bool:
-        """See Platform."""
-        return self._phase is Phase.RESTED or not self._started
+    def stopped(self) -> bool:
+        """True if the quad's safe stop is complete, or the quad was never started."""
+        return self._phase is SimplePhase.STOPPED or not self._started
 
     def close(self) -> None:
-        """See Platform. A vehicle in the air is left to its simulator."""
+        """Close the lidar's port, and end the planner's process. A vehicle in the air is not landed."""
         self._lidar.close()
         self._avoidance.close()
 
 
 def inside(settings: Settings, key: bytes | None, surroundings: SimulatorServices, flyer: Flyer) -> SimpleQuad:
-    """Return the platform for a simulator that controls time; see koordgen.runtime.vehicle.simulator_services."""
+    """Return a simple quad for a simulator that controls time. `key`: the fleet's key.
+
+    `surroundings`: the simulator's services, described in koordgen.runtime.vehicle.simulator_services."""
     return SimpleQuad(
         settings, key, flyer, scans=surroundings.exchange, planning=partial(bounded, surroundings)
     )  # fmt: skip

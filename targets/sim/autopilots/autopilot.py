@@ -60,10 +60,17 @@ class SimulatedAutopilot:
         self.copter, self._reports, streams = self._firmware(firmware, boot, spool_up, params, context.fault_state)
         noise, seed = float(harness.get("position_noise", 0.0)), f"{context.seed}/{context.robot}/autopilot"
         self.copter.estimator = self._estimator = SimulatedEstimator(
-            params, self._frame, boot, noise, seed, self.copter.say, context.fault_state, self.copter.resets_datum
+            params,
+            self._frame,
+            boot,
+            noise,
+            seed,
+            self.copter.report_text,
+            context.fault_state,
+            self.copter.resets_datum,
         )
         self._parameters_to_send: deque[str] = deque()  # parameters still to be sent for PARAM_REQUEST_LIST
-        self._telemetry = SimulatedTelemetry(self._reports.makers, streams, self.copter.said, self._send)
+        self._telemetry = SimulatedTelemetry(self._reports.makers, streams, self.copter.texts, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -118,7 +125,7 @@ class SimulatedAutopilot:
             return
         guidance = copter.guidance
         if copter.landed:
-            guidance.rest()
+            guidance.idle()
             self._body.accelerate((0.0, 0.0, -1.0), 0.0)  # motors idle on the ground
         elif dt > 0.0:
             acceleration = guidance.acceleration(estimate.position, estimate.velocity, now, dt)

@@ -11,7 +11,7 @@ from typing import Any
 
 from targets.car.base.settings import CarSettings, decode
 from targets.car.drive import vesc
-from targets.sim.base.bodies import Car, Device, DeviceContext
+from targets.sim.base.bodies import CarBody, Device, DeviceContext
 from targets.sim.base.fault_state import FaultState
 
 TIMEOUT = 0.5  # seconds without a command after which the VESC brakes by itself; a request for values is no command
@@ -24,7 +24,7 @@ FIRMWARE = 6, 5
 class Controller:
     """A VESC without its cable: reads and returns bytes, and drives a body."""
 
-    def __init__(self, body: Car, settings: CarSettings, fault_state: FaultState | None = None) -> None:
+    def __init__(self, body: CarBody, settings: CarSettings, fault_state: FaultState | None = None) -> None:
         self._body = body
         self._fault_state = fault_state or FaultState()
         self._settings = settings
@@ -78,7 +78,7 @@ class Controller:
 class SimulatedDrive:
     """Device of a car: serial line to a simulated VESC."""
 
-    def __init__(self, body: Car, context: DeviceContext) -> None:
+    def __init__(self, body: CarBody, context: DeviceContext) -> None:
         settings = decode(context.settings)
         self._controller = Controller(body, settings, context.fault_state)
         self._unsent = b""
@@ -95,7 +95,7 @@ class SimulatedDrive:
         self._terminal.close()
 
 
-def simulated(body: Car, context: DeviceContext) -> Device:
+def simulated(body: CarBody, context: DeviceContext) -> Device:
     """Return the device for the drive that the robot's settings name: a VESC or an ArduPilot rover."""
     if str(context.settings.get("drive", "")).startswith("rover:"):
         from targets.sim.autopilots.rover import SimulatedRover  # so that runs without a rover do not import pymavlink

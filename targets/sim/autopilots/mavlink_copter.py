@@ -41,7 +41,7 @@ WARNING, CRITICAL, INFO = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_CRI
 class Copter:
     """Flight mode and arming of a copter.
 
-    `said` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
+    `texts` collects STATUSTEXTs as (severity, text) for the telemetry to send."""
 
     autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     refusal = "PreArm"  # first word of a STATUSTEXT that says why arming is refused
@@ -54,7 +54,7 @@ class Copter:
         self.params = params
         self.guidance = Guidance()
         self.estimator: SimulatedEstimator  # assigned by the autopilot device
-        self.said: list[tuple[int, str]] = []
+        self.texts: list[tuple[int, str]] = []
         self.mode = STABILIZE
         self.armed = False
         self.landed = True
@@ -176,7 +176,7 @@ class Copter:
         if mode not in MODES:
             return DENIED
         if mode == GUIDED and not self.estimator.ready:
-            self.say(WARNING, "Mode change to GUIDED failed: requires position")
+            self.report_text(WARNING, "Mode change to GUIDED failed: requires position")
             return FAILED
         if self.booted(now):
             self.enter(mode, now)
@@ -213,21 +213,21 @@ class Copter:
             return ACCEPTED
         fault = self.fault(now)
         if fault:
-            self.say(CRITICAL, f"{self.refusal}: {fault}")
+            self.report_text(CRITICAL, f"{self.refusal}: {fault}")
             return FAILED
         if self.mode == LAND:
-            self.say(CRITICAL, "Arm: LAND mode not armable")
+            self.report_text(CRITICAL, "Arm: LAND mode not armable")
             return FAILED
         self.armed, self._armed_at, self.home = True, now, self.position
         guidance, of = self.guidance, self.params.of
         guidance.default_speed = of("WP_SPD")
         guidance.default_up, guidance.default_down = of("WP_SPD_UP"), of("WP_SPD_DN")
-        guidance.take_default_speeds()
+        guidance.reset_speeds()
         self.guidance.timeout = self.params.of("GUID_TIMEOUT")
         self.guidance.looks_ahead = self.params.of("WP_YAW_BEHAVIOR") != 0
         self.guidance.stop(now, self.position)
         self.guidance.turn(self.estimator.estimate.yaw, 0.0)
-        self.say(INFO, "Arming motors")
+        self.report_text(INFO, "Arming motors")
         return ACCEPTED
 
     def run_checks(self, now: float) -> int:
@@ -236,7 +236,7 @@ class Copter:
             return int(mavlink.MAV_RESULT_TEMPORARILY_REJECTED)
         fault = self.fault(now)
         if fault:
-            self.say(CRITICAL, f"{self.refusal}: {fault}")
+            self.report_text(CRITICAL, f"{self.refusal}: {fault}")
         return ACCEPTED
 
     def disarm(self, force: bool) -> int:
@@ -245,7 +245,7 @@ class Copter:
             return FAILED
         if self.armed:
             self.armed, self.landed, self._rise = False, True, None
-            self.say(INFO, "Disarming motors")
+            self.report_text(INFO, "Disarming motors")
         return ACCEPTED
 
     def take_off(self, above_home: float, now: float) -> int:
@@ -301,7 +301,7 @@ class Copter:
             self._complained = now
             fault = self.fault(now)
             if fault:
-                self.say(CRITICAL, f"{self.refusal}: {fault}")
+                self.report_text(CRITICAL, f"{self.refusal}: {fault}")
 
     def _exhausted(self, now: float) -> bool:
         """Return whether the battery has been critical for long enough to trigger its failsafe."""
@@ -312,13 +312,13 @@ class Copter:
     def _fail_safe(self, now: float) -> None:
         silent = 0.0 if self.ground_station is None else now - self.ground_station
         if silent > self.params.of("FS_GCS_TIMEOUT") and self.params.of("FS_GCS_ENABLE"):
-            self.say(WARNING, "GCS Failsafe")
+            self.report_text(WARNING, "GCS Failsafe")
         elif not self.estimator.ready and self.params.of("FS_EKF_ACTION"):
-            self.say(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+            self.report_text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
         elif self.params.of("FS_THR_ENABLE"):
-            self.say(WARNING, "Radio Failsafe")
+            self.report_text(WARNING, "Radio Failsafe")
         elif self._exhausted(now):
-            self.say(CRITICAL, f"Battery 1 is critical {self.volts:.2f}V: landing")
+            self.report_text(CRITICAL, f"Battery 1 is critical {self.volts:.2f}V: landing")
         else:
             return
         self.enter(LAND, now, FAILSAFE_PAUSE)
@@ -333,5 +333,5 @@ class Copter:
             if not self.waits_for_pilot:  # there is no pilot to disarm
                 self.disarm(force=False)
 
-    def say(self, severity: int, text: str) -> None:
-        self.said.append((severity, text))
+    def report_text(self, severity: int, text: str) -> None:
+        self.texts.append((severity, text))

@@ -70,13 +70,13 @@ class SimulatedEstimator:
         boot: float,
         noise: float,
         seed: str,
-        say: Callable[[int, str], None],
+        report_text: Callable[[int, str], None],
         fault_state: FaultState | None = None,
         resets_datum: bool = True,
     ) -> None:
         self._resets_datum = resets_datum
         self._datum: float | None = None  # m: the vehicle's height above the origin when the height datum was reset
-        self._params, self._frame, self._boot, self._say = params, frame, boot, say
+        self._params, self._frame, self._boot, self._report_text = params, frame, boot, report_text
         self._random = random.Random(seed)
         self._own = OwnGps(noise, fault_state or FaultState(), self._random)
         turn = self._random.uniform(0.0, math.tau)
@@ -154,7 +154,7 @@ class SimulatedEstimator:
             if age < INITIALISED * self._boot:
                 return
             self.initialised = True
-            self._say(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 initialised")
+            self._report_text(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 initialised")
         lost = now - self._own.fixed > OWN_LOST if source == "own" else now - self._measured > LOST
         if self.ready:
             self.ready = not lost
@@ -169,7 +169,7 @@ class SimulatedEstimator:
                 self.ready = age >= VISION_READY * self._boot and fed >= 0.5 and self.origin is not None
         if self.ready:
             self._settled = min(self._settled, now + self._settle)
-            self._say(
+            self._report_text(
                 mavlink.MAV_SEVERITY_INFO,
                 "EKF3 IMU0 is using external nav data" if source == "vision" else "EKF3 IMU0 is using GPS",
             )
@@ -178,7 +178,7 @@ class SimulatedEstimator:
 
     def _set_origin(self, place: Vector) -> None:
         self.place, self.origin = place, LocalFrame(*place)
-        self._say(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
+        self._report_text(mavlink.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
 
     def receive_origin(self, message: mavlink.MAVLink_set_gps_global_origin_message) -> None:
         """Handle SET_GPS_GLOBAL_ORIGIN. Before initialisation it is lost; a second one changes nothing."""

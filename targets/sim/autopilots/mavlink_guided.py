@@ -132,7 +132,7 @@ class Axis(Generic[Number]):
             self.path.begin(position, velocity, limited(self._asked, self.path.acceleration_limit))
         self._error = self._derivative = self._nothing
 
-    def rest(self) -> None:
+    def idle(self) -> None:
         """Command no acceleration: the vehicle is on the ground."""
         self._asked = self._nothing
 
@@ -220,12 +220,12 @@ class Guidance:
         if aim is not self.aim:
             self._begun = False
             if aim is not GuidanceMode.TAKEOFF:  # a change to take-off is the only one that keeps the speeds
-                self.take_default_speeds()
+                self.reset_speeds()
         self.aim, self.since = aim, now
         self.position, self.velocity, self.push = position, velocity, push
         self.turn(None, 0.0)
 
-    def take_default_speeds(self) -> None:
+    def reset_speeds(self) -> None:
         """Forget the speed limits that commands have set."""
         self.speed, self.up, self.down = self.default_speed, self.default_up, self.default_down
 
@@ -246,11 +246,11 @@ class Guidance:
         self._begun = False
         self.go(GuidanceMode.HOLD, now, position)
 
-    def rest(self) -> None:
+    def idle(self) -> None:
         """Prepare for a restart of the controllers: the vehicle is on the ground."""
         self._begun = False
-        self._level.rest()
-        self._height.rest()
+        self._level.idle()
+        self._height.idle()
 
     def turning(self, yaw: float, dt: float) -> float:
         """Return the commanded yaw rate for the estimated yaw."""

@@ -164,7 +164,7 @@ class Px4(Copter):
         if mode not in MODES:
             return DENIED
         if mode == POSITION or not self.estimator.ready or (mode == OFFBOARD and not self._has_setpoint_stream(now)):
-            self.say(CRITICAL, "Switching to this mode is currently not available")
+            self.report_text(CRITICAL, "Switching to this mode is currently not available")
             return REJECTED
         self.enter(mode, now)
         return ACCEPTED
@@ -199,12 +199,12 @@ class Px4(Copter):
             return ACCEPTED
         fault = self.fault(now)
         if fault:
-            self.say(CRITICAL, f"{self.refusal}: {fault}")
+            self.report_text(CRITICAL, f"{self.refusal}: {fault}")
             return REJECTED
         self.armed, self._armed_at, self.home = True, now, self.position
         self.guidance.turn(self.estimator.estimate.yaw, 0.0)
         self.guidance.looks_ahead = False
-        self.say(INFO, "Armed by external command")
+        self.report_text(INFO, "Armed by external command")
         return ACCEPTED
 
     def disarm(self, force: bool) -> int:
@@ -245,12 +245,12 @@ class Px4(Copter):
         silent = now - (self._armed_at if self._setpoint is None else self._setpoint)
         action = LAND
         if self.mode == OFFBOARD and silent > self.params["COM_OF_LOSS_T"]:
-            self.say(WARNING, "Failsafe activated: offboard control lost")
+            self.report_text(WARNING, "Failsafe activated: offboard control lost")
             action = LAND if self.params["COM_OBL_RC_ACT"] == LANDS else HOLD
         elif self.mode == OFFBOARD and not int(self.params["COM_RCL_EXCEPT"]) & EXCEPT_OFFBOARD:
-            self.say(WARNING, "Failsafe activated: manual control lost")
+            self.report_text(WARNING, "Failsafe activated: manual control lost")
         elif not self.estimator.ready:
-            self.say(CRITICAL, "Failsafe activated: position lost")
+            self.report_text(CRITICAL, "Failsafe activated: position lost")
         else:
             return
         self.enter(action, now)

@@ -18,13 +18,13 @@ _HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 class SimulatedTelemetry:
     """Message streams with rates that SET_MESSAGE_INTERVAL sets.
 
-    `makers` build the messages. `streams` are the default rates (Hz). `said` holds STATUSTEXTs to be sent."""
+    `makers` build the messages. `streams` are the default rates (Hz). `texts` holds STATUSTEXTs to be sent."""
 
     def __init__(
-        self, makers: Mapping[int, Maker], streams: Mapping[int, float], said: list[tuple[int, str]],
+        self, makers: Mapping[int, Maker], streams: Mapping[int, float], texts: list[tuple[int, str]],
         send: Callable[[Message], None],
     ) -> None:  # fmt: skip
-        self._makers, self._said, self._send = makers, said, send
+        self._makers, self._texts, self._send = makers, texts, send
         self._every = {message: 1 / rate for message, rate in streams.items()}
         self._usual = dict(self._every)
         self._due = dict.fromkeys(self._every, -math.inf)
@@ -52,10 +52,10 @@ class SimulatedTelemetry:
 
     def step(self, now: float) -> None:
         """Send pending STATUSTEXTs and all messages that are due."""
-        if self._said:
-            for severity, text in self._said:
+        if self._texts:
+            for severity, text in self._texts:
                 self._send(mavlink.MAVLink_statustext_message(severity, text[:50].encode("ascii", "replace")))
-            self._said.clear()
+            self._texts.clear()
         if now < self._soonest:
             return
         for message, due in self._due.items():

@@ -18,7 +18,7 @@ from koordgen.runtime.values.geodesy import LocalFrame
 from targets.car.base.settings import decode
 from targets.sim.autopilots.mavlink_params import BYTE, REAL, SHORT, Parameter, SimulatedParameters
 from targets.sim.autopilots.mavlink_telemetry import Message, SimulatedTelemetry
-from targets.sim.base.bodies import Car, DeviceContext
+from targets.sim.base.bodies import CarBody, DeviceContext
 from targets.sim.base.ports import Port
 
 MANUAL, HOLD, GUIDED = 0, 4, 15
@@ -57,7 +57,7 @@ class SimulatedRover:
 
     After `boot` seconds its EKF has a position and it can be armed."""
 
-    def __init__(self, body: Car, context: DeviceContext, port: Port | None = None) -> None:
+    def __init__(self, body: CarBody, context: DeviceContext, port: Port | None = None) -> None:
         self._body, self._settings = body, decode(context.settings)
         self._frame = LocalFrame(*context.origin)
         boot = context.harness.get("boot", 3.0)
@@ -76,8 +76,8 @@ class SimulatedRover:
             mavlink.MAVLINK_MSG_ID_RC_CHANNELS: self._sticks,
         }
         self.parameters = SimulatedParameters(table=PARAMETERS)
-        self.said: list[tuple[int, str]] = []
-        self._telemetry = SimulatedTelemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.said, self._send)
+        self.texts: list[tuple[int, str]] = []
+        self._telemetry = SimulatedTelemetry(makers, {mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0}, self.texts, self._send)
         self.overrides: Mapping[str, Any] = {}
         if port is None:
             port = context.wiring.port()
@@ -143,7 +143,7 @@ class SimulatedRover:
                 return accepted
             case mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
                 if message.param1 and now < self._boot:
-                    self.said.append((mavlink.MAV_SEVERITY_CRITICAL, "Arm: Need Position Estimate"))
+                    self.texts.append((mavlink.MAV_SEVERITY_CRITICAL, "Arm: Need Position Estimate"))
                     return failed
                 self.armed = bool(message.param1)
                 return accepted

@@ -35,7 +35,7 @@ class SimpleDevice(ABC):
 
     module: ClassVar[str]  # module of the platform; its function `inside` creates the platform in lockstep
     member: ClassVar[str]  # the platform's class
-    takes: ClassVar[Mapping[str, int]]  # commands of the body -> number of their arguments
+    answered_types: ClassVar[Mapping[str, int]]  # commands of the body -> number of their arguments
 
     def __init__(self, body: SimpleQuadrotor | SimpleCarBody, context: DeviceContext) -> None:
         self._seen = body
@@ -81,7 +81,7 @@ class SimpleDevice(ABC):
             asked = _decode(datagram)
         except msgspec.DecodeError:
             return
-        if self.takes.get(asked.what) == len(asked.values) and all(map(math.isfinite, asked.values)):
+        if self.answered_types.get(asked.what) == len(asked.values) and all(map(math.isfinite, asked.values)):
             self.execute(asked.what, asked.values)
 
     @abstractmethod
@@ -98,7 +98,7 @@ class SimpleQuadDevice(SimpleDevice):
     """Device of a simple quad."""
 
     module, member = "targets.quad.platform.simple", "SimpleQuad"
-    takes: ClassVar = {"fly": 4, "motors": 1}
+    answered_types: ClassVar = {"fly": 4, "motors": 1}
 
     def __init__(self, body: SimpleQuadrotor, context: DeviceContext) -> None:
         super().__init__(body, context)
@@ -137,7 +137,7 @@ class SimpleCarDevice(SimpleDevice):
     """Device of a simple car."""
 
     module, member = "targets.car.platform.simple", "SimpleCar"
-    takes: ClassVar = {"drive": 2, "brake": 1}
+    answered_types: ClassVar = {"drive": 2, "brake": 1}
 
     def __init__(self, body: SimpleCarBody, context: DeviceContext) -> None:
         super().__init__(body, context)

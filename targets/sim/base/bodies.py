@@ -52,7 +52,7 @@ class Quadrotor(Protocol):
         ...
 
 
-class Car(Protocol):
+class CarBody(Protocol):
     """Car that follows a speed and a steering angle; the reference point is the middle of the rear axle."""
 
     wheelbase: float

@@ -107,7 +107,7 @@ class PortNumbers:
         self._free: deque[int] = deque()
         self._blocks = random.SystemRandom().sample(range(BLOCKS), BLOCKS)
 
-    def take(self) -> int:
+    def allocate(self) -> int:
         """Return a free port number. Raises OSError if there is none."""
         while True:
             while not self._free:
@@ -143,7 +143,7 @@ class UdpPort:
     def __init__(self) -> None:
         self._socket = _bound(socket.SOCK_DGRAM, 0)
         self._socket.setblocking(False)
-        self.number = NUMBERS.take()
+        self.number = NUMBERS.allocate()
         self._open = True
 
     def receive(self) -> list[bytes]:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Box, Shared, World
+from koordgen.runtime.trace.schema import BoxRecord, SharedVariable, WorldRecord
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.base.bodies import Vector
@@ -101,14 +101,14 @@ class Scenario(msgspec.Struct, frozen=True):
     program_hash: str
     delta: float
     origin: GeodeticOrigin
-    geofence: Box
+    geofence: BoxRecord
     robots: tuple[Robot, ...]
     obstacles: tuple[Obstacle, ...] = ()  # obstacles of the world, walls last; numbered from 0
-    world: World = World()
+    world: WorldRecord = WorldRecord()
     harness: dict[str, Any] = {}
     # (module of the program, Python module, class) of each driver that agents load.
     drivers: tuple[tuple[str, str, str], ...] = ()
-    shared: tuple[Shared, ...] = ()
+    shared: tuple[SharedVariable, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
     application_id: int = 0
     gui: bool = False  # True if the contact engine shows its window; set by --gui only
@@ -236,7 +236,7 @@ def _within(obstacle: Obstacle, p: Point) -> bool:
             return False
 
 
-def _inside(box: Box, place: Vector) -> bool:
+def _inside(box: BoxRecord, place: Vector) -> bool:
     """Return whether a point is in a box or on its faces. The box's corners may be given in any order."""
     return all(min(lo, hi) <= v <= max(lo, hi) for lo, v, hi in zip(box.lo, place, box.hi, strict=True))
 

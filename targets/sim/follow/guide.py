@@ -14,7 +14,7 @@ import msgspec
 
 from koordgen.runtime.program.program import Event, Port, Program, Slots, Stopped, Transaction, Variable
 from koordgen.runtime.trace.schema import Cause, Violation
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
 from targets.sim.base.bodies import BodyState
@@ -22,7 +22,7 @@ from targets.sim.base.scenario import Robot
 from targets.sim.follow.plan import ReplayPlan, Values
 from targets.sim.follow.plan import Round as Planned
 from targets.sim.physics.world import STEP
-from targets.sim.run.run import Outcome, Run
+from targets.sim.run.run import Run, RunResult
 from targets.sim.run.run_interface import AgentHandle
 
 IDLE = "no event enabled"
@@ -145,7 +145,7 @@ class ReplayGuide:
                 return said
         raise LookupError(f"{port} was not called with these arguments in the trace")
 
-    def observe(self, pid: int, record: Record) -> None:
+    def observe(self, pid: int, record: RoundRecord) -> None:
         """Compare a round, as the agent's own record has it, with the plan."""
         self._seen[pid] = max(self._seen[pid], record.round)
         if record.round > len(self.plan.rounds):
@@ -154,7 +154,7 @@ class ReplayGuide:
         if why:
             self._differences.append((record.round, pid, why))
 
-    def _difference(self, pid: int, record: Record, each: Planned) -> str:
+    def _difference(self, pid: int, record: RoundRecord, each: Planned) -> str:
         state, wanted, ending = each.state, each.events.get(pid), self.plan.ending
         if state.stopped[pid]:
             return "" if record.skipped == "stopped" else "it has not stopped, as it has in the trace"
@@ -179,12 +179,12 @@ class ReplayGuide:
             return f"the trace executes {wanted}, but its guard is false in the agent"
         return ""
 
-    def result(self, outcome: Outcome) -> tuple[int, str]:
+    def result(self, result: RunResult) -> tuple[int, str]:
         """Return exit status and message of a run that came to its end."""
         plan, ending = self.plan, self.plan.ending
-        if ending is not None and ending.event == "init" and not outcome.started:
+        if ending is not None and ending.event == "init" and not result.started:
             self._discarded = "(in init)" in self._run.conduct.agents[ending.pid].last_error
-            return self._told(outcome, self._shown(outcome))
+            return self._result(result, self._shown(result))
         late = [pid for pid, seen in enumerate(self._seen) if seen < len(plan.rounds)]
         if not self._differences and late:
             pid = late[0]
@@ -194,20 +194,20 @@ class ReplayGuide:
             each = plan.rounds[number - 1]
             where = f"{plan.trace}:{each.line}: round {each.of}, robot {pid} ({self._robots[pid].name})"
             return DIFFERS, f"{where}: {why} (round {number} of the agents)"
-        return self._told(outcome, self._shown(outcome))
+        return self._result(result, self._shown(result))
 
-    def _told(self, outcome: Outcome, shown: str) -> tuple[int, str]:
+    def _result(self, result: RunResult, shown: str) -> tuple[int, str]:
         plan, ending = self.plan, self.plan.ending
         rounds = sum(1 for each in plan.rounds[:-1])
         cut = f"; {plan.trace}:{plan.cut}: the trace is cut off here" if plan.cut else ""
-        ways = f"{plan.trace}: replayed in {rounds} round{'s' * (rounds != 1)} of the agents, with the same results"
+        prefix = f"{plan.trace}: replayed in {rounds} round{'s' * (rounds != 1)} of the agents, with the same results"
         if ending is None:
-            return HELD, ways + (cut or "; it has no violation")
+            return HELD, prefix + (cut or "; it has no violation")
         if shown:
-            return VIOLATED, f"{ways}; {shown}"
-        return DIFFERS, f"{plan.trace}: the trace ends with {ending.name}: {ending.detail}; {self._missed(outcome)}"
+            return VIOLATED, f"{prefix}; {shown}"
+        return DIFFERS, f"{plan.trace}: the trace ends with {ending.name}: {ending.detail}; {self._missed(result)}"
 
-    def _shown(self, outcome: Outcome) -> str:
+    def _shown(self, result: RunResult) -> str:
         """Return how the run confirms the trace's violation; "" if it does not."""
         ending = self.plan.ending
         if ending is None:
@@ -217,19 +217,19 @@ class ReplayGuide:
             return f"{ending.event} of {name} has no result, as in the trace" if self._discarded else ""
         if ending.name == "(deadlock)":
             return "no event is enabled any more, as in the trace"
-        found = self._violation(outcome)
+        found = self._violation(result)
         due = (self.plan.found - (not self.plan.environment)) * self.delta
         early = -math.inf if not self.plan.found else -2 * STEP - BEFORE  # robots run `init` before round 1
         if found is None or not early <= found.t - max(0.0, due) <= STEP:
             return ""
         return f"{ending.name} is violated after the same round as in the trace"
 
-    def _violation(self, outcome: Outcome) -> Violation | None:
+    def _violation(self, result: RunResult) -> Violation | None:
         name = self.plan.ending.name if self.plan.ending else ""
-        return next((v for v in outcome.violations if v.what == "property" and v.name == name), None)
+        return next((v for v in result.violations if v.what == "property" and v.name == name), None)
 
-    def _missed(self, outcome: Outcome) -> str:
-        found = self._violation(outcome)
+    def _missed(self, result: RunResult) -> str:
+        found = self._violation(result)
         return f"the run violates it at {found.t:.3f} s" if found else "the run does not violate it"
 
 
@@ -242,7 +242,7 @@ class ReplayPlatform:
         self._guide, self._pid, self._round = guide, pid, round_
         self._types = {p.name: p.type for p in program.ports if p.direction == "sensor"}
         self._answers = {p.name: p.type for p in program.ports if p.direction == "callable"}
-        self.ready, self.rested, self.progress, self.stall = True, False, "", ""
+        self.ready, self.stopped, self.progress, self.stall = True, False, "", ""
 
     def sense(self, now: float) -> Sensed:
         """See Platform."""
@@ -254,9 +254,9 @@ class ReplayPlatform:
         said = self._guide.answer(self._pid, self._round(), port, args)
         return msgspec.json.decode(_encode(said), type=self._answers[port])
 
-    def rest(self, now: float) -> None:
+    def stop(self, now: float) -> None:
         """See Platform."""
-        self.rested = True
+        self.stopped = True
 
     def diagnose(self) -> list[Finding]:
         """See Platform."""
@@ -274,7 +274,7 @@ class ReplayPlatform:
     def others(self, paths: Mapping[int, tuple[Point, ...]]) -> None:
         """See Platform."""
 
-    def news(self) -> list[str]:
+    def log_lines(self) -> list[str]:
         """See Platform."""
         return []
 

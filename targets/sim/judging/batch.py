@@ -26,8 +26,8 @@ class Batch:
     `measured`: an array (observations, robots, 3) for each port that the simulator measures. `values`: values of the
     whole round, by name as in Truth."""
 
-    def __init__(self, moments: int, n_sys: int, measured: Mapping[str, Array], values: Mapping[str, Any]) -> None:
-        self.moments, self.n_sys = moments, n_sys
+    def __init__(self, observations: int, n_sys: int, measured: Mapping[str, Array], values: Mapping[str, Any]) -> None:
+        self.observations, self.n_sys = observations, n_sys
         self._measured, self._values = measured, values
         self._found: dict[tuple[str, int], Array] = {}
 
@@ -109,22 +109,22 @@ class Batch:
     def _whole(self, a: Any) -> Array:
         return np.asarray(a).reshape(np.shape(a) or (1,) * (1 + MOST_AXES))
 
-    def unsure_of(self, surely: Callable[[Any], Any]) -> list[tuple[int, int]]:
+    def unsure_of(self, screening: Callable[[Any], Any]) -> list[tuple[int, int]]:
         """Return (observation, pid) of all pairs that a screening does not decide.
 
         Robots are on the first axis."""
         try:
-            found = np.broadcast_to(surely(self), (self.moments, self.n_sys, *[1] * (MOST_AXES - 1)))
+            found = np.broadcast_to(screening(self), (self.observations, self.n_sys, *[1] * (MOST_AXES - 1)))
         except (ValueError, TypeError, LookupError, AttributeError):
-            return [(k, pid) for k in range(self.moments) for pid in range(self.n_sys)]
+            return [(k, pid) for k in range(self.observations) for pid in range(self.n_sys)]
         return [(int(k), int(pid)) for k, pid, *_ in np.argwhere(~found)]
 
-    def unsure(self, surely: Callable[[Any], Any]) -> list[int]:
+    def unsure(self, screening: Callable[[Any], Any]) -> list[int]:
         """Return the observations that a screening does not decide; all of them if a value is unknown."""
         try:
-            found = np.broadcast_to(np.asarray(surely(self)).reshape(-1), (self.moments,))
+            found = np.broadcast_to(np.asarray(screening(self)).reshape(-1), (self.observations,))
         except (ValueError, TypeError, LookupError, AttributeError):
-            return list(range(self.moments))
+            return list(range(self.observations))
         return [int(k) for k in np.flatnonzero(~found)]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Init, Round, Stream, TraceRecord, Violation
+from koordgen.runtime.trace.schema import InitRecord, Round, StreamLine, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.run.run import Run
 from targets.sim.run.run_interface import AgentHandle
@@ -55,10 +55,10 @@ class Idle:
             return
         for record in records:
             match record:
-                case Init() | Round():
-                    if self._news(agent.robot.pid, record):
+                case InitRecord() | Round():
+                    if self._has_effect(agent.robot.pid, record):
                         self._since = max(self._since, record.time) if self._since < math.inf else self._since
-                case Stream():
+                case StreamLine():
                     self._since = max(self._since, record.time) if self._since < math.inf else self._since
                 case _:
                     pass
@@ -69,21 +69,21 @@ class Idle:
     def _left(self) -> list[int]:
         """Return the pids of robots that run and have not stopped."""
         agents = self._run.conduct.agents
-        return [a.robot.pid for a in agents if a.alive and a.resting is None and a.robot.pid not in self._stopped]
+        return [a.robot.pid for a in agents if a.alive and a.stopping is None and a.robot.pid not in self._stopped]
 
-    def _news(self, pid: int, record: Init | Round) -> bool:
+    def _has_effect(self, pid: int, record: InitRecord | Round) -> bool:
         if record.stopped:
             self._stopped.add(pid)
         if isinstance(record, Round):
             self._last[pid] = record.event or record.skipped or "nothing"
-        news = bool(record.stopped or record.actuators)
+        has_effect = bool(record.stopped or record.actuators)
         for values in (record.locals, record.shared):
             for name, raw in values.items():
                 value = msgspec.json.decode(raw)
                 if not same(self._values.get((pid, name)), value):
                     self._values[pid, name] = value
-                    news = True
-        return news
+                    has_effect = True
+        return has_effect
 
     def _report(self, at: float) -> None:
         self._timeout = 0.0  # once

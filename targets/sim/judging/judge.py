@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from koordgen.runtime.monitor.monitor import told
+from koordgen.runtime.monitor.monitor import evidence
 from koordgen.runtime.program.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
 from koordgen.runtime.trace.schema import Found, Verdict, Violation
 
@@ -32,7 +32,7 @@ class JudgedProperty:
     left: float | None = None
     robots: tuple[str, ...] = ()
     detail: str = ""
-    moments: int = 0  # observations at which it had a value
+    observations: int = 0  # observations at which it had a value
     unknown: int = 0  # observations at which it was unknown
 
     @property
@@ -40,22 +40,22 @@ class JudgedProperty:
         return self.outcome is not None
 
     @property
-    def surely(self) -> Callable[[Any], Any] | None:
-        return self.what.surely
+    def screening(self) -> Callable[[Any], Any] | None:
+        return self.what.screening
 
     def note(
-        self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], gone: bool
+        self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], lost: bool
     ) -> Violation | None:
         """Record the outcome of an observation. Return a violation the first time the property does not hold.
 
-        `gone`: a robot was out of the model. The violation names the robots that made the property false, and the
+        `lost`: a robot was out of the model. The violation names the robots that made the property false, and the
         values read."""
         if outcome == "unknown":
             self.unknown += 1
             self.detail = self.detail or why
-            self.left = at if gone and self.left is None else self.left
+            self.left = at if lost and self.left is None else self.left
             return None
-        self.moments += 1
+        self.observations += 1
         if outcome == "held":
             return None
         trail: Trail = []
@@ -64,27 +64,27 @@ class JudgedProperty:
             again, holds = self.found.step(self.n, trail), self.what.holds_of_calls
         else:
             again, holds = self.found.fleet(self.n, trail), self.what.holds
-        again.take(known)
+        again.copy_from(known)
         judged(holds, again)
         self.at, self.outcome = at, outcome
-        self.robots, self.detail = told(trail, names, why, known.pid)
+        self.robots, self.detail = evidence(trail, names, why, known.pid)
         word = f"{self.of} {self.name}" if self.name else self.of
         verb = "has no value" if why else "does not hold"
         text = f"{word} {verb}: {self.detail}" if self.detail else f"{word} {verb}"
         return Violation(at, "property", self.robots, text, self.name, self.line)
 
-    def verdict(self, at: float, zero: float | None, gone: str) -> Verdict:
+    def verdict(self, at: float, zero: float | None, lost: str) -> Verdict:
         """Return the verdict at the mission's end.
 
-        `zero`: time when round 1 began. `gone`: names of robots that have left the model."""
+        `zero`: time when round 1 began. `lost`: names of robots that have left the model."""
         word: Found
         since: float | None = None
         if self.outcome is not None:
             word, since, detail = self.outcome, self.at, self.detail
         elif self.left is not None:
             word, since = "out of model", self.left
-            detail = f"{gone or 'a robot'} had left the model; until then it held"
-        elif not self.moments:
+            detail = f"{lost or 'a robot'} had left the model; until then it held"
+        elif not self.observations:
             word, detail = "unchecked", f"not known: {self.detail}" if self.unknown else "it was never observed"
         else:
             word, detail = (
@@ -92,7 +92,7 @@ class JudgedProperty:
                 f"at {self.unknown} more observations not known: {self.detail}" if self.unknown else "",
             )
         since = None if since is None or zero is None else round(since - zero, 6)
-        return Verdict(at, self.of, self.name, self.line, word, since, self.robots, detail, self.moments)
+        return Verdict(at, self.of, self.name, self.line, word, since, self.robots, detail, self.observations)
 
 
 def all_of(found: Properties, n: int) -> list[JudgedProperty]:

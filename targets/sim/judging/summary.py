@@ -11,13 +11,24 @@ from typing import Literal
 import msgspec
 
 from koordgen.runtime.program.runner import name_of
-from koordgen.runtime.trace.schema import Cause, End, Header, Log, Monitor, Pose, Round, Stall, TraceRecord, Violation
+from koordgen.runtime.trace.schema import (
+    Cause,
+    End,
+    Header,
+    LogLine,
+    Monitor,
+    PoseRecord,
+    Round,
+    Stall,
+    TraceRecord,
+    Violation,
+)
 from koordgen.runtime.trace.schema import Verdict as Found
 from targets.sim.base.bodies import Vector
-from targets.sim.run.run import Outcome
+from targets.sim.run.run import RunResult
 from targets.sim.trace.files import was_late
 from targets.sim.trace.monitor_reports import Monitored, MonitorSummary
-from targets.sim.trace.monitor_reports import as_text as noticed_text
+from targets.sim.trace.monitor_reports import as_text as monitor_text
 
 Verdict = Literal["held", "violated", "host overloaded", "interrupted", "not started"]
 
@@ -52,7 +63,7 @@ class Warned(msgspec.Struct):
 class RobotSummary(msgspec.Struct):
     """Figures of one robot. Positions (m, local ENU) are the truth.
 
-    `start`: at the beginning of the run. `final`: at the mission's end. `rest`: after landing or braking.
+    `start`: at the beginning of the run. `final`: at the mission's end. `stop`: after landing or braking.
     `path_length`, rounds, events, skips and faults: from round 1 to the mission's end."""
 
     name: str
@@ -60,7 +71,7 @@ class RobotSummary(msgspec.Struct):
     target: str
     start: Vector | None = None
     final: Vector | None = None
-    rest: Vector | None = None
+    stop: Vector | None = None
     path_length: float = 0.0
     rounds: int = 0
     events: dict[str, int] = {}
@@ -104,14 +115,14 @@ class Summary(msgspec.Struct):
     late_steps: int
     steps: int
     late_in_mission: int = 0  # of the late steps
-    noticed: list[MonitorSummary] = []  # violations reported by the robots' own monitors
+    monitors: list[MonitorSummary] = []  # violations reported by the robots' own monitors
     watching: float = 0.0  # share of the run's time that judging its properties took
     shares: dict[str, float] = {}  # shares of the processor's time, by part; empty in real time
     host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
     reproduce: dict[str, str] = {}  # command and versions that repeat the run
 
 
-def summarise(header: Header, records: Iterable[TraceRecord], outcome: Outcome) -> Summary:
+def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult) -> Summary:
     """Summarise a merged trace in one pass."""
     tallies = {
         robot.pid: _Tally(RobotSummary(robot.name, robot.pid, robot.target), header.delta) for robot in header.robots
@@ -125,9 +136,9 @@ def summarise(header: Header, records: Iterable[TraceRecord], outcome: Outcome) 
     for record in records:
         match record:
             case Monitor() if not ended:
-                monitored.take(record)
-            case Pose() | Round() | Stall() | Log() if record.pid in tallies:
-                tallies[record.pid].take(record, ended)
+                monitored.add(record)
+            case PoseRecord() | Round() | Stall() | LogLine() if record.pid in tallies:
+                tallies[record.pid].add(record, ended)
             case Violation():
                 violations.append(record)
             case Found():
@@ -142,37 +153,37 @@ def summarise(header: Header, records: Iterable[TraceRecord], outcome: Outcome) 
                 pass
     robots = [tally.summary for tally in tallies.values()]
     for robot in robots:
-        robot.status = outcome.statuses.get(robot.name)
-        robot.waiting_for = outcome.waiting.get(robot.name)
-        robot.last_lines = outcome.last_lines.get(robot.name, [])
-    verdict, why = _verdict(outcome, violations, properties)
+        robot.status = result.statuses.get(robot.name)
+        robot.waiting_for = result.waiting.get(robot.name)
+        robot.last_lines = result.last_lines.get(robot.name, [])
+    verdict, why = _verdict(result, violations, properties)
     return Summary(
         app=header.app,
         program_hash=header.program_hash,
         seed=header.seed,
         duration_asked=header.duration,
-        duration=outcome.duration if outcome.started else 0.0,
+        duration=result.duration if result.started else 0.0,
         verdict=verdict,
         why=why,
         violations=violations,
         properties=properties,
-        noticed=monitored.beside(properties),
+        monitors=monitored.beside(properties),
         causes=causes,
         robots=robots,
-        min_separation=_separation(outcome, names),
+        min_separation=_separation(result, names),
         min_separation_asked=header.min_separation,
         collisions=sum(v.what == "collision" for v in violations),
-        real_time_factor=outcome.real_time_factor,
-        late_steps=outcome.late_steps,
-        late_in_mission=outcome.late_in_mission,
-        steps=outcome.steps,
-        shares=outcome.shares,
-        host_waits=outcome.host_waits,
+        real_time_factor=result.real_time_factor,
+        late_steps=result.late_steps,
+        late_in_mission=result.late_in_mission,
+        steps=result.steps,
+        shares=result.shares,
+        host_waits=result.host_waits,
     )
 
 
-def _separation(outcome: Outcome, names: dict[int, str]) -> Separation | None:
-    closest = outcome.closest
+def _separation(result: RunResult, names: dict[int, str]) -> Separation | None:
+    closest = result.closest
     if closest is None:
         return None
     one, other = closest.pids
@@ -188,29 +199,29 @@ class _Tally:
         self._last: Vector | None = None
         self._round = 0
 
-    def take(self, record: Pose | Round | Stall | Log, ended: bool) -> None:
+    def add(self, record: PoseRecord | Round | Stall | LogLine, ended: bool) -> None:
         """Add a record of the robot; `ended`: the mission is over."""
         match record:
-            case Pose():
+            case PoseRecord():
                 self.pose(record, ended)
-            case Log():
+            case LogLine():
                 self.log(record)
             case Round() if not ended:
                 self.round(record)
             case Stall() if not ended:
                 self.stall(record)
 
-    def pose(self, pose: Pose, ended: bool) -> None:
+    def pose(self, pose: PoseRecord, ended: bool) -> None:
         own = self.summary
         own.start = own.start or pose.position
-        own.rest = pose.position
+        own.stop = pose.position
         if not ended:
             own.final = pose.position
             if pose.t >= 0 and self._last is not None:
                 own.path_length += math.dist(self._last, pose.position)
         self._last = pose.position
 
-    def log(self, record: Log) -> None:
+    def log(self, record: LogLine) -> None:
         """Count a warning or an error by its text without numbers. Stall messages are reported as stalls."""
         own = self.summary
         if record.level == "info" or (own.stalls and record.message.endswith(own.stalls[-1].why)):
@@ -251,19 +262,19 @@ class _Tally:
             own.events[record.event] = own.events.get(record.event, 0) + 1
 
 
-def _verdict(outcome: Outcome, violations: list[Violation], properties: list[Found]) -> tuple[Verdict, str]:
+def _verdict(result: RunResult, violations: list[Violation], properties: list[Found]) -> tuple[Verdict, str]:
     own = [violation for violation in violations if not violation.host]
-    first = told((own or violations)[0]) if violations else ""
-    if outcome.ended == "interrupted":
+    first = violation_text((own or violations)[0]) if violations else ""
+    if result.ended == "interrupted":
         return "interrupted", "interrupted by the user" + (f"; before that, {first}" if first else "")
-    if outcome.ended == "timeout":
-        waiting = "; ".join(f"{name}: {what}" for name, what in outcome.waiting.items())
+    if result.ended == "timeout":
+        waiting = "; ".join(f"{name}: {what}" for name, what in result.waiting.items())
         return "not started", f"round 1 did not begin: {waiting}"
     if own:
         return "violated", first
     if violations:
         return "host overloaded", f"{first}. The run does not judge the program: {AGAIN}"
-    how = "all robots ended by themselves" if outcome.ended == "stopped" else "the whole duration was simulated"
+    how = "all robots ended by themselves" if result.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
     return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
 
@@ -286,7 +297,7 @@ def _named(found: Found) -> str:
 
 def found_text(found: Found) -> str:
     """Return the verdict on a property, in one line."""
-    detail = f": {found.detail}" if found.detail else f", moments: {found.moments}"
+    detail = f": {found.detail}" if found.detail else f", observations: {found.observations}"
     return f"{found.outcome.upper()}{_since(found)}: {_named(found)}{detail}"
 
 
@@ -300,13 +311,13 @@ def seconds(t: float) -> str:
     return f"{round(t, 2) + 0.0:.2f}"
 
 
-def told(violation: Violation) -> str:
+def violation_text(violation: Violation) -> str:
     """Return a violation as one sentence."""
     who = " ".join([f"at {seconds(violation.t)} s", *filter(None, [" and ".join(violation.robots)])])
     host = f"; {violation.host}" if violation.host else ""
     if violation.line:
         return f"{who}: {violation.detail} ({violation.line}){host}"
-    verb = " " if violation.what in ("ended", "unrest") else f": {violation.what}, "
+    verb = " " if violation.what in ("ended", "not_stopped") else f": {violation.what}, "
     return f"{who}{verb}{violation.detail}{host}"
 
 
@@ -332,8 +343,8 @@ def warned(robot: str, warning: Warned) -> str:
 def _cause_text(cause: Cause) -> str:
     """Return an injected fault as one line."""
     who = f" ({', '.join(cause.robots)})" if cause.robots else ""
-    told = f"at {seconds(cause.t)} s {cause.what}{who}"
-    return told + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
+    text = f"at {seconds(cause.t)} s {cause.what}{who}"
+    return text + (f": {cause.detail}" if cause.detail else "") + (f", for {cause.lasts:g} s" if cause.lasts else "")
 
 
 def write(summary: Summary, folder: Path) -> None:
@@ -376,7 +387,11 @@ def as_text(summary: Summary) -> str:
     if warnings:
         lines += ["", "robots warned:", *(f"  {line}" for line in warnings)]
     if len(summary.violations) > 1:
-        lines += ["", f"all {len(summary.violations)} violations:", *(f"  {told(v)}" for v in summary.violations)]
+        lines += [
+            "",
+            f"all {len(summary.violations)} violations:",
+            *(f"  {violation_text(v)}" for v in summary.violations),
+        ]
     if summary.causes:
         lines += ["", "injected faults:", *(f"  {_cause_text(cause)}" for cause in summary.causes)]
     for robot in summary.robots:
@@ -404,8 +419,8 @@ def _properties(summary: Summary) -> list[str]:
     None for a program without any."""
     lines = [found_text(found) for found in summary.properties]
     took = [f"judging them took {summary.watching:.1%} of the time"] if lines else []
-    own = ["", "the robots' own monitors:"] if summary.noticed else []
-    own += [f"  {noticed_text(found)}" for found in summary.noticed]
+    own = ["", "the robots' own monitors:"] if summary.monitors else []
+    own += [f"  {monitor_text(found)}" for found in summary.monitors]
     return (["", "properties:", *(f"  {line}" for line in lines + took)] if lines else []) + own
 
 

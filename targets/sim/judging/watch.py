@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged, properties_of
-from koordgen.runtime.trace.schema import Init, Phase, Round, TraceRecord, Verdict, View, Violation
+from koordgen.runtime.trace.schema import InitRecord, Phase, Round, TraceRecord, Verdict, ViewRecord, Violation
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
 from targets.sim.judging.batch import Batch
@@ -63,7 +63,7 @@ def load(root: Path, driven: Collection[str] = ()) -> Properties:
 
 
 @dataclass(slots=True)
-class _Moment:
+class _Observation:
     at: float
     states: list[BodyState]
     ports: dict[str, list[Any]] = field(default_factory=dict)  # measured ports, computed on demand
@@ -82,9 +82,9 @@ class Watcher:
         self._truth = Truth(found.program, self._n)
         self._known = found.fleet(self._n, None)
         self._step = found.step(self._n, None)
-        self._moments: deque[_Moment] = deque()
+        self._observations: deque[_Observation] = deque()
         self._out: dict[int, float] = {}  # pid -> time when it left the model
-        self._view = View(0, 0, (0,) * self._n)
+        self._view = ViewRecord(0, 0, (0,) * self._n)
         self._began = False
         self._arrays: dict[str, NDArray[Any]] = {}  # measured arrays of the present round
         self._stopped: set[int] = set()
@@ -103,11 +103,11 @@ class Watcher:
     def step(self, at: float, states: list[BodyState]) -> None:
         began = time.perf_counter()
         if at <= self._until:
-            if any(agent.told for agent in self._run.conduct.agents):
+            if any(agent.asked_to_end for agent in self._run.conduct.agents):
                 self._until = at
-            self._moments.append(_Moment(at, states))
-            if self._run.zero is None and len(self._moments) > MOST_KEPT:
-                self._moments.popleft()
+            self._observations.append(_Observation(at, states))
+            if self._run.zero is None and len(self._observations) > MOST_KEPT:
+                self._observations.popleft()
         self.seconds += time.perf_counter() - began
 
     def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
@@ -115,24 +115,24 @@ class Watcher:
         pid = agent.robot.pid
         for record in records:
             match record:
-                case Init() | Round():
+                case InitRecord() | Round():
                     self._truth.hear(pid, record)
                     self._note_loops(agent.robot.name, record)
                     if record.stopped:
                         self._stopped.add(pid)
-                case Phase(phase="resting") if not agent.told:
+                case Phase(phase="stopping") if not agent.asked_to_end:
                     self._rests(pid, record.time)
-                case View() if record.number > self._view.number:
+                case ViewRecord() if record.number > self._view.number:
                     self._view = record
                 case _:
                     pass
         for other in self._run.conduct.agents:
-            if not other.alive and not other.told:
+            if not other.alive and not other.asked_to_end:
                 self._out.setdefault(other.robot.pid, self._run.conduct.now())
         self._judge(self._ready)
         self.seconds += time.perf_counter() - began
 
-    def _note_loops(self, robot: str, record: Init | Round) -> None:
+    def _note_loops(self, robot: str, record: InitRecord | Round) -> None:
         """Mark each loop invariant that was false in a robot's event, once."""
         where = f"the event {record.event}" if isinstance(record, Round) else "init"
         for line in record.violated:
@@ -156,9 +156,9 @@ class Watcher:
         began = time.perf_counter()
         self._judge(lambda round_: True)
         at = min(at, self._until)
-        gone = ", ".join(self._names[pid] for pid in self._gone(at))
+        lost = ", ".join(self._names[pid] for pid in self._lost(at))
         for watched in self._watched:
-            self._run.mark(watched.verdict(at, self._run.zero, gone))
+            self._run.mark(watched.verdict(at, self._run.zero, lost))
         for found, why in self._loops.values():
             since = None if self._run.zero is None else round(found.t - self._run.zero, 6)
             self._run.mark(Verdict(at, "loop invariant", found.name, found.line, "violated", since, found.robots, why))
@@ -170,9 +170,9 @@ class Watcher:
     def _ready(self, round_: int) -> bool:
         """Return whether all records of a round have arrived, or were awaited long enough."""
         zero = self._run.zero
-        if zero is not None and self._moments[-1].at - zero > round_ * self._delta + PATIENCE:
+        if zero is not None and self._observations[-1].at - zero > round_ * self._delta + PATIENCE:
             return True
-        return all(self._truth.told(pid) >= round_ or self._absent(pid, round_) for pid in range(self._n))
+        return all(self._truth.last_recorded(pid) >= round_ or self._absent(pid, round_) for pid in range(self._n))
 
     def _absent(self, pid: int, round_: int) -> bool:
         return pid in self._out or (self._view.members[pid] < 0 and self._view.since <= round_)
@@ -180,11 +180,11 @@ class Watcher:
     def _judge(self, ready: Callable[[int], bool]) -> None:
         """Judge all rounds whose observations are complete and whose next round is recorded."""
         zero = self._run.zero
-        while len(self._moments) > 1 and self._moments[-1].at > self._until:
-            self._moments.pop()
-        while zero is not None and self._moments:
+        while len(self._observations) > 1 and self._observations[-1].at > self._until:
+            self._observations.pop()
+        while zero is not None and self._observations:
             end = zero + max(0, self._truth.round + 1) * self._delta
-            if self._moments[-1].at < end or not ready(self._truth.round + 2):
+            if self._observations[-1].at < end or not ready(self._truth.round + 2):
                 return
             self._window(zero, end)
 
@@ -193,37 +193,37 @@ class Watcher:
         if not self._began:
             self._began = True
             self._truth.begin()
-            while len(self._moments) > 1 and self._moments[1].at <= zero:
-                self._moments.popleft()
-            self._fleet("initially", [self._moments[0]])
+            while len(self._observations) > 1 and self._observations[1].at <= zero:
+                self._observations.popleft()
+            self._fleet("initially", [self._observations[0]])
         self._truth.advance()
         self._arrays = {}
-        moments = [self._moments.popleft()]
-        while self._moments and self._moments[0].at <= end:
-            moments.append(self._moments.popleft())
-        self._moments.appendleft(moments[-1])  # the next round begins at this observation
-        self._fleet("invariant", moments)
+        observations = [self._observations.popleft()]
+        while self._observations and self._observations[0].at <= end:
+            observations.append(self._observations.popleft())
+        self._observations.appendleft(observations[-1])  # the next round begins at this observation
+        self._fleet("invariant", observations)
         if self._truth.round > 0:
-            self._assumptions(moments)
+            self._assumptions(observations)
 
-    def _fleet(self, of: Of, moments: list[_Moment]) -> None:
+    def _fleet(self, of: Of, observations: list[_Observation]) -> None:
         asked = [w for w in self._watched if w.of == of and not w.decided]
         if not asked:
             return
         self._known.put(self._truth.values)
-        due = self._due(asked, moments)
-        gone: list[int] = []
+        due = self._due(asked, observations)
+        lost: list[int] = []
         for k in sorted(due):
-            moment = moments[k]
-            if gone != (gone := self._gone(moment.at)):
-                self._known.put(self._without(gone))
-            self._known.put(self._ports(moment))
+            observation = observations[k]
+            if lost != (lost := self._lost(observation.at)):
+                self._known.put(self._without(lost))
+            self._known.put(self._ports(observation))
             for watched in due[k]:
                 if not watched.decided:
                     outcome, why = judged(watched.what.holds, self._known)
-                    self._note(watched, outcome, moment.at, why, self._known)
+                    self._note(watched, outcome, observation.at, why, self._known)
 
-    def _due(self, asked: list[JudgedProperty], moments: list[_Moment]) -> dict[int, list[JudgedProperty]]:
+    def _due(self, asked: list[JudgedProperty], observations: list[_Observation]) -> dict[int, list[JudgedProperty]]:
         """Return the properties to evaluate one by one, by observation.
 
         A property that reads positions is evaluated at all observations, except those at which its screening shows that
@@ -231,77 +231,79 @@ class Watcher:
         due: dict[int, list[JudgedProperty]] = {}
         batch: Batch | None = None
         for watched in asked:
-            which = list(range(len(moments))) if watched.moving else [0]
-            surely = watched.surely
-            if watched.moving and surely is not None and not self._gone(moments[-1].at):
-                batch = batch or Batch(len(moments), self._n, self._measured(moments), self._truth.values)
-                which = batch.unsure(surely)
-                watched.moments += len(moments) - len(which)
+            which = list(range(len(observations))) if watched.moving else [0]
+            screening = watched.screening
+            if watched.moving and screening is not None and not self._lost(observations[-1].at):
+                batch = batch or Batch(len(observations), self._n, self._measured(observations), self._truth.values)
+                which = batch.unsure(screening)
+                watched.observations += len(observations) - len(which)
             for k in which:
                 due.setdefault(k, []).append(watched)
         return due
 
-    def _measured(self, moments: list[_Moment]) -> dict[str, NDArray[Any]]:
+    def _measured(self, observations: list[_Observation]) -> dict[str, NDArray[Any]]:
         """Return the positions and velocities of a round, for a Batch."""
         if not self._arrays:
             for name in self._found.measured:
                 kind = name.rpartition(".")[2]
                 if kind in ("position", "velocity"):
-                    rows = [[getattr(state, kind) for state in moment.states] for moment in moments]
+                    rows = [[getattr(state, kind) for state in observation.states] for observation in observations]
                     self._arrays[name] = np.array(rows)
         return self._arrays
 
-    def _without(self, gone: list[int]) -> dict[str, list[Any]]:
+    def _without(self, lost: list[int]) -> dict[str, list[Any]]:
         """Return the values of ports, UNKNOWN for robots that are out of the model."""
         values = self._truth.values
         ports = [p.name for p in self._found.program.ports if p.name in values]
-        return {name: [UNKNOWN if pid in gone else v for pid, v in enumerate(values[name])] for name in ports}
+        return {name: [UNKNOWN if pid in lost else v for pid, v in enumerate(values[name])] for name in ports}
 
-    def _assumptions(self, moments: list[_Moment]) -> None:
+    def _assumptions(self, observations: list[_Observation]) -> None:
         if self._windows is not None:
-            self._tell_of(self._windows, moments)
+            self._record_movement(self._windows, observations)
         for watched in [w for w in self._watched if w.of == "assume" and (self._windows or not w.decided)]:
-            due = self._due_of_each(watched, moments)
+            due = self._due_of_each(watched, observations)
             for pid in range(self._n):
                 if self._windows is not None:
-                    looked = [moments[k] for k in due[pid]]
-                    self._windows.put(pid, self._assumption(watched, pid, moments[0], looked) if looked else "h")
+                    looked = [observations[k] for k in due[pid]]
+                    self._windows.put(pid, self._assumption(watched, pid, observations[0], looked) if looked else "h")
                 elif due[pid] and not watched.decided:
-                    self._assumption(watched, pid, moments[0], [moments[k] for k in due[pid]])
+                    self._assumption(watched, pid, observations[0], [observations[k] for k in due[pid]])
 
-    def _tell_of(self, windows: Windows, moments: list[_Moment]) -> None:
+    def _record_movement(self, windows: Windows, observations: list[_Observation]) -> None:
         windows.begin(self._truth.round)
         targets = self._truth.values.get(windows.goal)
         if targets is not None:
             places, velocities = (
-                np.array([[getattr(state, kind) for state in moment.states] for moment in moments])
+                np.array([[getattr(state, kind) for state in observation.states] for observation in observations])
                 for kind in ("position", "velocity")
             )
-            windows.moved(places, velocities, targets, self._gone(moments[-1].at))
+            windows.moved(places, velocities, targets, self._lost(observations[-1].at))
 
-    def _due_of_each(self, watched: JudgedProperty, moments: list[_Moment]) -> list[list[int]]:
+    def _due_of_each(self, watched: JudgedProperty, observations: list[_Observation]) -> list[list[int]]:
         """Return by pid the observations at which an assumption must be evaluated, as `_due` does."""
-        what, last = watched.what, len(moments) - 1
+        what, last = watched.what, len(observations) - 1
         assert isinstance(what, Assumption)
         sampled = bool(self._sampled(what))
-        if what.surely is None or sampled or not watched.moving or self._gone(moments[last].at):
+        if what.screening is None or sampled or not watched.moving or self._lost(observations[last].at):
             return [[last] if sampled or not watched.moving else list(range(last + 1))] * self._n
-        measured = {f"{name}'": places for name, places in self._measured(moments).items()}
-        values = {**self._truth.values, **self._ports(moments[0])}
+        measured = {f"{name}'": places for name, places in self._measured(observations).items()}
+        values = {**self._truth.values, **self._ports(observations[0])}
         values |= {f"{p.name}'": values[p.name] for p in self._found.program.ports if p.direction == "actuator"}
-        unsure = Batch(last + 1, self._n, measured, values).unsure_of(what.surely)
-        watched.moments += 0 if watched.decided else (last + 1) * self._n - len(unsure)
+        unsure = Batch(last + 1, self._n, measured, values).unsure_of(what.screening)
+        watched.observations += 0 if watched.decided else (last + 1) * self._n - len(unsure)
         return [[k for k, p in unsure if p == pid] for pid in range(self._n)]
 
-    def _assumption(self, watched: JudgedProperty, pid: int, first: _Moment, moments: list[_Moment]) -> Came:
+    def _assumption(
+        self, watched: JudgedProperty, pid: int, first: _Observation, observations: list[_Observation]
+    ) -> Came:
         """Evaluate an assumption of one robot in one round.
 
         Unprimed ports have their values right after the program's step, primed ones those of each observation, until
         the assumption does not hold."""
         assumption, step, values = watched.what, self._step, self._truth.values
         assert isinstance(assumption, Assumption)
-        if self._is_out(pid, moments[-1].at):
-            watched.left = moments[-1].at if watched.left is None else watched.left
+        if self._is_out(pid, observations[-1].at):
+            watched.left = observations[-1].at if watched.left is None else watched.left
             return "o"
         before = self._ports(first)
         ports = [name for name in step.one if not name.endswith("'")]
@@ -314,11 +316,11 @@ class Watcher:
             return "u"
         step.put({f"{name}'": value for name, value in others.items()})
         came: Came = "h" if assumption.asked(step) else "-"
-        for moment in moments:
-            step.put({f"{name}'": held[pid] for name, held in self._ports(moment).items()})
+        for observation in observations:
+            step.put({f"{name}'": held[pid] for name, held in self._ports(observation).items()})
             outcome, why = judged(assumption.holds_of_calls, step)
             if not watched.decided:
-                self._note(watched, outcome, moment.at, why, step)
+                self._note(watched, outcome, observation.at, why, step)
             if outcome in ("violated", "no value"):
                 return _CAME[outcome]
             came = _CAME[outcome] if outcome == "unknown" else came
@@ -332,18 +334,18 @@ class Watcher:
         sensors = {p.name for p in self._found.program.ports if p.direction == "sensor"}
         return [name for name in primed if name in sensors and name not in self._found.measured]
 
-    def _ports(self, moment: _Moment) -> dict[str, list[Any]]:
+    def _ports(self, observation: _Observation) -> dict[str, list[Any]]:
         """Return the true values of the measured ports."""
-        if not moment.ports:
-            gone = self._gone(moment.at)
+        if not observation.ports:
+            lost = self._lost(observation.at)
             for name in self._found.measured:
                 measure = _PORTS[name.rpartition(".")[2]]
-                moment.ports[name] = [
-                    UNKNOWN if pid in gone else measure(state) for pid, state in enumerate(moment.states)
+                observation.ports[name] = [
+                    UNKNOWN if pid in lost else measure(state) for pid, state in enumerate(observation.states)
                 ]
-        return moment.ports
+        return observation.ports
 
-    def _gone(self, at: float) -> list[int]:
+    def _lost(self, at: float) -> list[int]:
         """Return the pids of robots that are out of the model."""
         if not self._out and min(self._view.members) >= 0:
             return []
@@ -358,6 +360,6 @@ class Watcher:
         return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
 
     def _note(self, watched: JudgedProperty, outcome: Outcome, at: float, why: str, known: Known) -> None:
-        violation = watched.note(outcome, at, why, known, self._names, bool(self._gone(at)))
+        violation = watched.note(outcome, at, why, known, self._names, bool(self._lost(at)))
         if violation is not None:
             self._run.mark(violation)

@@ -49,13 +49,13 @@ class Windows:
         """Record the result of the next assumption for a robot."""
         self._rows[pid - self._n]["came"] += came
 
-    def moved(self, positions: Array, velocities: Array, targets: list[Any], gone: list[int]) -> None:
+    def moved(self, positions: Array, velocities: Array, targets: list[Any], lost: list[int]) -> None:
         """Record the motion of the bodies in the window.
 
         Arrays (observations, robots, 3) in metres and metres a second, local ENU; each robot's target; robots out of
         the model."""
         for pid, target in enumerate(targets):
-            if isinstance(target, Point) and pid not in gone:
+            if isinstance(target, Point) and pid not in lost:
                 self._rows[pid - self._n] |= _geometry(
                     positions[:, pid], velocities[:, pid], np.array([target.x, target.y, target.z])
                 )

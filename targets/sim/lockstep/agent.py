@@ -290,7 +290,7 @@ class LockstepAgent(AgentHandle):
         return self._status
 
     def request_end(self) -> None:
-        self.told = True
+        self.asked_to_end = True
         if self._thawed == math.inf:
             self.thaw()
         if self._machine is not None:
@@ -341,13 +341,13 @@ class LockstepAgent(AgentHandle):
             if not line.startswith(HEADER):  # an agent's own header differs from that of the merged trace
                 record = decoded(line)
                 if record is not None:
-                    self._take(record)
+                    self._record(record)
                     self._seen.append(record)
 
     def _failed(self, status: int) -> str | None:
         if status == 0:
             return None
-        own = self.resting.detail if self.resting else self.last_error
+        own = self.stopping.detail if self.stopping else self.last_error
         why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
         return f"ended with status {status}: {why[0]}"
 

@@ -58,8 +58,8 @@ def _clock_module(clock: Callable[[], float], today: Callable[[], float]) -> Mod
     """Return a `time` module for the user's code."""
     module = ModuleType("time", time.__doc__)
     module.__dict__.update({k: v for k, v in vars(time).items() if not k.startswith("__")})
-    for name, tell in (("monotonic", clock), ("perf_counter", clock), ("process_time", clock), ("time", today)):
-        setattr(module, name, tell)
-        setattr(module, f"{name}_ns", lambda tell=tell: round(tell() * 1e9))
+    for name, clock_time in (("monotonic", clock), ("perf_counter", clock), ("process_time", clock), ("time", today)):
+        setattr(module, name, clock_time)
+        setattr(module, f"{name}_ns", lambda clock_time=clock_time: round(clock_time() * 1e9))
     module.__dict__["sleep"] = lambda seconds: None
     return module

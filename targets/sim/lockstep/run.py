@@ -28,7 +28,7 @@ ITERATIONS = 400  # iterations of a planner's search
 
 
 class Lockstep:
-    """Lockstep clock and agents of a run. Implements `crew.AgentsAndClock`.
+    """Lockstep clock and agents of a run. Implements `run_interface.AgentsAndClock`.
 
     `root` is the sim bundle; `folder` receives a folder for each robot. The run's key is derived from its seed: nobody
     else receives these datagrams."""
@@ -128,7 +128,7 @@ class Lockstep:
     @property
     def shares(self) -> dict[str, float]:
         """Shares of the processor's time, by part."""
-        return self._shared.shares.told(self._scene.spent if self._scene is not None else 0.0)
+        return self._shared.shares.fractions(self._scene.spent if self._scene is not None else 0.0)
 
     def close(self) -> None:
         for agent in self._agents:

@@ -17,7 +17,7 @@ class TimeShares:
     def end(self, part: str, began: float) -> None:
         self._spent[part] = self._spent.get(part, 0.0) + perf_counter() - began
 
-    def told(self, devices: float) -> dict[str, float]:
+    def fractions(self, devices: float) -> dict[str, float]:
         """Return each part's share of the whole; `devices` are the seconds that the scene spent on devices."""
         spent = self._spent.get
         stage, agents = spent("stage", 0.0), spent("agents", 0.0)

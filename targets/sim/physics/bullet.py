@@ -137,7 +137,7 @@ class Bullet:
         """Return PyBullet's number of a body."""
         return self._numbers[body]
 
-    def take(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
+    def set_pose(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
         """Take control of a body: the engine moves it from now on."""
         number = self._numbers[body]
         self._group(number, ROBOT, EVERYTHING)

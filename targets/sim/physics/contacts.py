@@ -1,6 +1,6 @@
 """Contact engines: common interface of PyBullet and MuJoCo, and the choice between them.
 
-An engine moves only the bodies under its control (`take`). In each step it receives their velocities, which already
+An engine moves only the bodies under its control (`set_pose`). In each step it receives their velocities, which already
 include all forces but contacts; so there is no gravity in an engine. The friction of two surfaces is the product of
 theirs. Lengths are in metres, masses in kg, in the world frame (ENU). Quaternions are (x, y, z, w)."""
 
@@ -88,7 +88,7 @@ class Engine(Protocol):
         """Add a body, not yet under the engine's control; return its number."""
         ...
 
-    def take(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
+    def set_pose(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
         """Take control of a body, from this pose on."""
         ...
 

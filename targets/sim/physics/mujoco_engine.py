@@ -133,7 +133,7 @@ class Mujoco:
         self._speeds = self._data.qvel.reshape(-1, 6)
         self._owners = [_owner(mujoco_model.geom(k).name) for k in range(mujoco_model.ngeom)]
 
-    def take(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
+    def set_pose(self, body: int, position: Sequence[float], orientation: Sequence[float]) -> None:
         """See contacts.Engine."""
         if self._model is None:
             self._compile()

@@ -123,11 +123,11 @@ def cast_rays(eyes: Sequence[LidarMount], scenery: ObstacleMap, bodies: Bodies) 
         circles = _Circles(field, [part.circles for part in slices], _sections(bodies, others))
         things, rays = field.spread(*(np.concatenate(pair) for pair in zip(segments.seen, circles.seen, strict=True)))
         split = int(np.searchsorted(things, segments.count))
-        ways = field.ways[:, rays]
+        directions = field.directions[:, rays]
         distances = np.concatenate(
             (
-                segments.distances(things[:split], ways[:, :split]),
-                circles.distances(things[split:] - segments.count, ways[:, split:]),
+                segments.distances(things[:split], directions[:, :split]),
+                circles.distances(things[split:] - segments.count, directions[:, split:]),
             )
         )
         field.shorten(rays, distances)
@@ -171,8 +171,8 @@ class _Rays:
         self.places = np.array([eye.place[:2] for eye in eyes]).T
         self.first: Index = np.cumsum(self.rays) - self.rays
         angles = [_ray_directions(eye.rays) for eye in eyes]
-        self.ways = angles[0] if len(angles) == 1 else np.concatenate(angles, axis=1)
-        self.nearest = np.full(self.ways.shape[1], np.inf)
+        self.directions = angles[0] if len(angles) == 1 else np.concatenate(angles, axis=1)
+        self.nearest = np.full(self.directions.shape[1], np.inf)
 
     def others(self, bodies: Bodies) -> Mask:
         """Return which bodies each lidar may see, (lidars, n): all at its height except its own."""
@@ -281,7 +281,7 @@ def _cast_at_tilted(field: _Rays, bodies: Bodies, others: Mask) -> None:
     thing, ray = field.spread(eye, np.arctan2(apart[eye, body, 1], apart[eye, body, 0]) - half, 2 * half)
     turned = bodies.turned[:, :, body]
     origin = -total(turned * apart[eye, body].T[:, None])[:, thing]
-    way_x, way_y = field.ways[:, ray]
+    way_x, way_y = field.directions[:, ray]
     way = turned[0][:, thing] * way_x + turned[1][:, thing] * way_y
     limits = bodies.sizes[:, body[thing]] / 2
     # Infinite along an axis that the ray is perpendicular to; both of the same sign for a miss.

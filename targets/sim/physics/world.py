@@ -239,7 +239,7 @@ class SimulatedWorld:
         others = self._broad_phase.to_others(self._motions, self._reach, seconds)
         taken = floor | others
         for row in np.flatnonzero(taken & ~self._taken).tolist():
-            self.engine.take(self._numbers[row], *self._pose(row))
+            self.engine.set_pose(self._numbers[row], *self._pose(row))
         for row in np.flatnonzero(self._taken & ~taken).tolist():
             self.engine.release(self._numbers[row])
         self._taken, self._rows = taken, np.flatnonzero(taken).tolist()

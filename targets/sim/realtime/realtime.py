@@ -92,7 +92,7 @@ class RealTime:
 
     def launch(self, scene: SimulationScene) -> None:
         count = len(self._agents)
-        taken = self._numbers = [NUMBERS.take() for _ in range(2 * count)]
+        taken = self._numbers = [NUMBERS.allocate() for _ in range(2 * count)]
         ports, controls = taken[:count], taken[count:]
         if self._medium is not None:
             self._relay = Relay(ports, self._seed, self._medium)

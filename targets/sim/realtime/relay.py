@@ -90,7 +90,7 @@ class Router:
         self._medium = medium
         self._links = medium.by_link()
 
-    def take(self, sender: int, receiver: int, datagram: bytes, now: float) -> None:
+    def forward(self, sender: int, receiver: int, datagram: bytes, now: float) -> None:
         if self._medium.cut(sender, receiver):
             return
         for delay in self._links.get((sender, receiver), self._medium.all).delays(self._dice):
@@ -153,7 +153,7 @@ def _drain(own: socket.socket, receiver: int, pids: Mapping[tuple[str, int], int
             return
         sender = pids.get(source)
         if sender is not None:
-            router.take(sender, receiver, datagram, time.monotonic())
+            router.forward(sender, receiver, datagram, time.monotonic())
 
 
 def _pass_on(own: socket.socket, datagram: bytes, target: tuple[str, int]) -> None:

@@ -109,7 +109,7 @@ class AgentProcess(AgentHandle):
         return self._process.pid if self._process is not None and self._process.poll() is None else None
 
     def request_end(self) -> None:
-        self.told = True
+        self.asked_to_end = True
         if self._process and self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
             if self._thaw is None:  # end an unlimited freeze, or the agent could not stop safely
@@ -129,7 +129,7 @@ class AgentProcess(AgentHandle):
 
     def restart(self) -> None:
         self.crash()
-        if not self.crashed or self.told:  # it ended by itself, or should end
+        if not self.crashed or self.asked_to_end:  # it ended by itself, or should end
             return
         while self.look():
             pass
@@ -178,17 +178,17 @@ class AgentProcess(AgentHandle):
     def look(self) -> list[TraceRecord]:
         records = self._tail.read()
         for record in records:
-            self._take(record)
+            self._record(record)
         return records
 
     def _failed(self, status: int) -> str | None:
-        if status == 0 or (self.told and (status in GOOD_ENDS or self.phase.phase == "launched")):
+        if status == 0 or (self.asked_to_end and (status in GOOD_ENDS or self.phase.phase == "launched")):
             return None
-        if self.told and status == -signal.SIGTERM and self.phase.phase == "rested":
+        if self.asked_to_end and status == -signal.SIGTERM and self.phase.phase == "stopped":
             return None  # it was already exiting when it was told to, and Python no longer handled signals
         if status < 0:
             return f"was killed by {signal.Signals(-status).name}"
-        own = self.resting.detail if self.resting else self.last_error
+        own = self.stopping.detail if self.stopping else self.last_error
         why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
         return f"ended with status {status}: {why[0]}"
 

@@ -40,8 +40,8 @@ def load(path: Path, robots: Sequence[str]) -> tuple[Schedule, Any]:
         raise BadScenario(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     schedule, mistakes = read(data, robots)
     if mistakes:
-        told = "\n".join(f"{path}: {_place(mistake)}{mistake.message}" for mistake in mistakes)
-        raise BadScenario(told, next((m.hint for m in mistakes if m.hint), ""))
+        text = "\n".join(f"{path}: {_place(mistake)}{mistake.message}" for mistake in mistakes)
+        raise BadScenario(text, next((m.hint for m in mistakes if m.hint), ""))
     return schedule, data
 
 
@@ -137,8 +137,8 @@ class Faults:
             self._stamp(now, "network", tuple(self._names), _conditions(self._schedule.network))
         for link in self._schedule.links:
             conditions = link.over(self._schedule.network or Conditions())
-            told = f"from {link.sender} to {link.receiver}: {_conditions(conditions)}"
-            self._stamp(now, "link", (link.sender, link.receiver), told)
+            text = f"from {link.sender} to {link.receiver}: {_conditions(conditions)}"
+            self._stamp(now, "link", (link.sender, link.receiver), text)
 
     def step(self, at: float, states: list[BodyState]) -> None:
         """See Companion."""
@@ -184,7 +184,7 @@ class Faults:
         return () if event.kind == "obstacle" else event.robots or tuple(self._names)
 
     def _begin(self, event: Event, at: float) -> None:
-        self._stamp(at, event.kind, self._concerned(event), told(event), event.lasts)
+        self._stamp(at, event.kind, self._concerned(event), event_text(event), event.lasts)
         run = self._run
         match event.kind:
             case "partition":
@@ -252,7 +252,7 @@ class Faults:
 
     def _restart(self, event: Event) -> None:
         agent = self._agent(event)
-        if not agent.told:  # an agent told to end must not start again, for it would not be told twice
+        if not agent.asked_to_end:  # an agent told to end must not start again, for it would not be told twice
             agent.restart()
 
     def _agent(self, event: Event) -> AgentHandle:
@@ -266,7 +266,7 @@ def _conditions(conditions: Conditions) -> str:
     return ", ".join(f"{key} {getattr(conditions, key):g}" for key in CONDITIONS if getattr(conditions, key))
 
 
-def told(event: Event) -> str:
+def event_text(event: Event) -> str:
     """Return a fault's details as text."""
     match event.kind:
         case "partition":

@@ -32,9 +32,9 @@ class Progress:
     def step(self, text: str) -> None:
         """Write a line about normal progress; only to a terminal."""
         if self._live:
-            self.say(text)
+            self.show_line(text)
 
-    def say(self, text: str) -> None:
+    def show_line(self, text: str) -> None:
         """Write a line that is not overwritten."""
         if not self._quiet:
             self._write(("\r\x1b[K" if self._open else "") + text + "\n")

@@ -55,7 +55,7 @@ START_TIMEOUT = 90.0
 
 
 @dataclass(slots=True)
-class Outcome:
+class RunResult:
     """Result of a run. Times of `marks` and `closest` are t (s since round 1).
 
     `zero`: time of t = 0 on the run's clock: start of round 1, or the launch if round 1 did not begin. `ended`: why the
@@ -138,7 +138,7 @@ class Run:
         """Return the seconds since the start of round 1; None before it."""
         return None if self.zero is None else at - self.zero
 
-    def execute(self) -> Outcome:
+    def execute(self) -> RunResult:
         """Run from launch to safe stop. Raises OSError for a failure of the host, after ending all agents."""
         try:
             with self._interruptible():
@@ -148,7 +148,7 @@ class Run:
             self.scene.close()
             self._poses.close()
 
-    def _execute(self) -> Outcome:
+    def _execute(self) -> RunResult:
         agents, count = self.conduct.agents, len(self.conduct.agents)
         for companion in self.companions:
             companion.launched(self)
@@ -169,7 +169,7 @@ class Run:
         now = self.conduct.now()
         for companion in self.companions:
             companion.end(now)
-        return self._outcome(ended, zero, end, waiting)
+        return self._result(ended, zero, end, waiting)
 
     def _before_start(self, now: float, timeout: float) -> str:
         if self._interrupts:
@@ -229,14 +229,14 @@ class Run:
         for agent in self.conduct.agents:
             self._hear(agent)
             name = agent.robot.name
-            if agent.resting and name not in self._left:
+            if agent.stopping and name not in self._left:
                 self._left.add(name)
-                self._progress.say(f"{name} stops safely by itself: {agent.resting.detail}")
+                self._progress.show_line(f"{name} stops safely by itself: {agent.stopping.detail}")
             failure = agent.failure()
             if failure and name not in self._failed:
-                since = agent.resting.time if agent.resting and not agent.killed else now
+                since = agent.stopping.time if agent.stopping and not agent.killed else now
                 self._failed[name] = (since, failure)
-                self._progress.say(f"{name} {failure}")
+                self._progress.show_line(f"{name} {failure}")
         self._progress.show(now, self.zero, self._duration, self.conduct.agents, self.scene.watch, self.conduct.factor)
 
     def _hear(self, agent: AgentHandle) -> bool:
@@ -248,22 +248,22 @@ class Run:
         return bool(records)
 
     def _stop_safely(self, ended: str) -> None:
-        """Tell the agents to stop safely, and advance the world until they have."""
+        """Command the agents to stop safely, and advance the world until they have."""
         if ended == "completed":
             self._progress.step("the mission is over, robots stop safely")
         else:
-            self._progress.say(f"{ended}: ending")
+            self._progress.show_line(f"{ended}: ending")
         for agent in self.conduct.agents:
             self._hear(agent)
             agent.request_end()
         deadline = self.conduct.now() + STOP_WITHIN
         hurry = self._interrupts + 1
 
-        def rested(now: float) -> str:
+        def are_stopped(now: float) -> str:
             over = now >= deadline or self._interrupts >= hurry
             return "yes" if over or not any(agent.alive for agent in self.conduct.agents) else ""
 
-        self._until(rested)
+        self._until(are_stopped)
         for agent in self.conduct.agents:
             agent.kill()
             while self._hear(agent):
@@ -271,7 +271,7 @@ class Run:
         settled = self.conduct.now() + SETTLE
         self._until(lambda now: "yes" if now >= settled else "")
 
-    def _outcome(self, ended: str, zero: float, end: float, waiting: dict[str, str]) -> Outcome:
+    def _result(self, ended: str, zero: float, end: float, waiting: dict[str, str]) -> RunResult:
         now = self.conduct.now()
         watch = self.scene.watch
         names = [robot.name for robot in self.scenario.robots]
@@ -297,10 +297,10 @@ class Run:
             ended_itself = agent.robot.name not in self._failed and not agent.crashed
             if ended_itself and not self.scene.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
-                marks.append(Violation(t(now), "unrest", (agent.robot.name,), detail))
+                marks.append(Violation(t(now), "not_stopped", (agent.robot.name,), detail))
         found = watch.closest
         closest = None if len(names) < 2 else Closest(found.distance, t(found.time), found.pids)
-        return Outcome(
+        return RunResult(
             started=self.zero is not None,
             ended=ended,
             zero=zero,

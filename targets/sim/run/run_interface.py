@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from koordgen.runtime.trace.schema import Log, Phase, Round, TraceRecord
+from koordgen.runtime.trace.schema import LogLine, Phase, Round, TraceRecord
 from koordgen.runtime.trace.writer import Observe
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import Robot
@@ -30,11 +30,11 @@ class AgentHandle(ABC):
         self.trace_file = folder / "trace.jsonl"
         self.log_file = folder / "log.txt"
         self._delta = delta
-        self.told = False  # told to stop safely and end
+        self.asked_to_end = False  # told to stop safely and end
         self.killed = False  # killed by the run, because it did not stop in time
         self.crashed = False  # crashed by `crash` and not restarted yet
         self.phase = Phase("launched")
-        self.resting: Phase | None = None  # the beginning of a safe stop that was not commanded
+        self.stopping: Phase | None = None  # the beginning of a safe stop that was not commanded
         self.round = 0
         self.events = 0
         self.first_fault: Round | None = None
@@ -60,7 +60,7 @@ class AgentHandle(ABC):
 
     @abstractmethod
     def request_end(self) -> None:
-        """Tell the agent to stop safely and end."""
+        """Command the agent to stop safely and to end."""
 
     @abstractmethod
     def kill(self) -> None:
@@ -116,16 +116,16 @@ class AgentHandle(ABC):
         self.look()
         if self.killed:
             return "did not stop in time and was killed"
-        if status == 0 and not self.told and self.round == 0:
+        if status == 0 and not self.asked_to_end and self.round == 0:
             return "ended by itself before round 1"
         return self._failed(status)
 
-    def _take(self, record: TraceRecord) -> None:
+    def _record(self, record: TraceRecord) -> None:
         match record:
             case Phase():
                 self.phase = record
-                if record.phase == "resting" and not self.told and self.resting is None:
-                    self.resting = record
+                if record.phase == "stopping" and not self.asked_to_end and self.stopping is None:
+                    self.stopping = record
             case Round():
                 if self.first_round_start is None:
                     self.first_round_start = record.time - record.late - (record.round - 1) * self._delta
@@ -134,7 +134,7 @@ class AgentHandle(ABC):
                     self.first_fault = self.first_fault or record
                 elif record.event is not None:
                     self.events += 1
-            case Log(level="error"):
+            case LogLine(level="error"):
                 self.last_error = record.message
             case _:
                 pass

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Init, OfRobot, Phase, Pose, Round, TraceRecord, Values
+from koordgen.runtime.trace.schema import Header, InitRecord, OfRobot, Phase, PoseRecord, Round, TraceRecord, Values
 
 IDLE = "no event enabled"  # reason why a robot with a current copy of the store skipped a round
 Of = Literal["sensor", "local", "actuator", "shared"]
@@ -52,17 +52,17 @@ class Beliefs:
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
         self.robots = {robot.pid: Belief() for robot in header.robots}
 
-    def take(self, record: TraceRecord) -> list[Change]:
+    def apply(self, record: TraceRecord) -> list[Change]:
         """Apply a record. Return the values that it changed."""
         belief = self.robots.get(record.pid) if isinstance(record, OfRobot) else None
         if belief is None:
             return []
         match record:
-            case Pose(position=position):
+            case PoseRecord(position=position):
                 belief.position = position
             case Phase(phase=phase):
                 belief.phase = phase
-            case Init():
+            case InitRecord():
                 belief.did = "init"
                 return self._apply(belief, self._changes(record, record.pid))
             case Round():
@@ -74,7 +74,7 @@ class Beliefs:
                 pass
         return []
 
-    def _changes(self, record: Init | Round, pid: int) -> Iterator[Change]:
+    def _changes(self, record: InitRecord | Round, pid: int) -> Iterator[Change]:
         if isinstance(record, Round):
             for name, raw in record.copy.items():
                 value = _decoder.decode(raw)

@@ -21,8 +21,8 @@ from koordgen.runtime.trace.schema import (
     LEFT_OUT,
     End,
     Header,
-    Init,
-    Pose,
+    InitRecord,
+    PoseRecord,
     Round,
     Values,
     Vector,
@@ -92,8 +92,8 @@ def _records(files: Sequence[Path], pid: int, delta: float, application: str) ->
             opened[place.file].seek(place.offset)
             line = upgraded(opened[place.file].readline(), application)
             record = decoded(line)
-            if isinstance(record, Init | Round) and (pose := _pose(record.sensors)) is not None:
-                yield t, encoded(Pose(pid, *pose, LEFT_OUT, t))
+            if isinstance(record, InitRecord | Round) and (pose := _pose(record.sensors)) is not None:
+                yield t, encoded(PoseRecord(pid, *pose, LEFT_OUT, t))
             yield t, at(line, t, pid)
     finally:
         for file in opened:

@@ -21,7 +21,7 @@ from koordgen.runtime.trace.schema import (
     BadTrace,
     Header,
     Mark,
-    Pose,
+    PoseRecord,
     RobotHeader,
     Round,
     TraceRecord,
@@ -63,7 +63,7 @@ class Tail:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
-        self._rest = b""
+        self._incomplete = b""
         self.malformed = 0
 
     def read(self) -> list[TraceRecord]:
@@ -75,7 +75,7 @@ class Tail:
         except FileNotFoundError:
             return []
         self._offset += len(data)
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, self._incomplete = (self._incomplete + data).split(b"\n")
         found: list[TraceRecord] = []
         for line in lines:
             try:
@@ -96,7 +96,7 @@ class Poses:
     def write(self, time: float, states: list[BodyState]) -> None:
         for pid, state in enumerate(states):
             place = (round(state.position[0], 5), round(state.position[1], 5), round(state.position[2], 5))
-            record = Pose(pid, place, round(state.yaw, 5), time, LEFT_OUT)
+            record = PoseRecord(pid, place, round(state.yaw, 5), time, LEFT_OUT)
             self._file.write(encoded(record) + b"\n")
 
     def close(self) -> None:

@@ -43,7 +43,7 @@ class DisplayFilter:
         self._of_one: Counter[tuple[int, Key]] = Counter()
         self._count = 0
 
-    def take(self, record: Monitor) -> bool:
+    def add(self, record: Monitor) -> bool:
         """Return whether a record is shown. Call in the order of the trace."""
         key = (record.pid, _key(record))
         if record.outcome == "violated":
@@ -58,7 +58,7 @@ class DisplayFilter:
         return shown
 
 
-def said(record: Monitor) -> str:
+def status_text(record: Monitor) -> str:
     """Return property, outcome and reaction as a short text."""
     does = f", {ACTS[record.action]}" if record.outcome == "violated" and record.action in ACTS else ""
     return f"{record.of} {record.name}".strip() + f": {record.outcome}{does}"
@@ -69,10 +69,10 @@ class Monitored:
 
     def __init__(self, names: dict[int, str], delta: float) -> None:
         self._names, self._delta = names, delta
-        self._said: dict[Key, dict[int, list[Monitor]]] = {}
+        self._records: dict[Key, dict[int, list[Monitor]]] = {}
 
-    def take(self, record: Monitor) -> None:
-        self._said.setdefault(_key(record), {}).setdefault(record.pid, []).append(record)
+    def add(self, record: Monitor) -> None:
+        self._records.setdefault(_key(record), {}).setdefault(record.pid, []).append(record)
 
     def beside(self, verdicts: Sequence[Verdict]) -> list[MonitorSummary]:
         """Compare with the simulator's verdicts. Return the properties with something to report.
@@ -80,7 +80,7 @@ class Monitored:
         A property that the simulator does not judge, such as a contract of a function, has no `missed`."""
         truths = {(v.of, v.name, v.line): v for v in verdicts}
         found = []
-        for key, by_robot in self._said.items():
+        for key, by_robot in self._records.items():
             one, truth = MonitorSummary(*key), truths.get(key)
             for pid, records in sorted(by_robot.items()):
                 name = self._names.get(pid, f"robot {pid}")

@@ -15,7 +15,7 @@ import msgspec
 
 from koordgen.runtime.program.program import Calls, Port, Program, Variable
 from koordgen.runtime.program.property import UNKNOWN
-from koordgen.runtime.trace.schema import Init, Round, Values
+from koordgen.runtime.trace.schema import InitRecord, Round, Values
 from koordgen.runtime.values.points import Grid, Point
 
 # Arguments of a planner call: a goal, and obstacles as cells.
@@ -27,8 +27,8 @@ _by_pid = msgspec.json.Decoder(dict[str, msgspec.Raw])
 class _Robot:
     """Records of one robot. `rounds` wait to be applied."""
 
-    init: Init | None = None
-    told: int = 0  # the last recorded round
+    init: InitRecord | None = None
+    last_recorded: int = 0  # the last recorded round
     rounds: dict[int, Round] = field(default_factory=dict)
     calls: Calls = ()  # in the round applied last
 
@@ -50,19 +50,19 @@ class Truth:
         typed: list[Variable | Port] = [*program.locals, *program.shared, *program.ports]
         self._decoders: dict[str, Any] = {v.name: msgspec.json.Decoder(v.type) for v in typed}
 
-    def hear(self, pid: int, record: Init | Round) -> None:
+    def hear(self, pid: int, record: InitRecord | Round) -> None:
         """Add a record of an agent. Call in its order."""
         robot = self._robots[pid]
-        if isinstance(record, Init):
+        if isinstance(record, InitRecord):
             robot.init = record
         else:
-            robot.told = max(robot.told, record.round)
+            robot.last_recorded = max(robot.last_recorded, record.round)
             robot.rounds[record.round] = record
 
-    def told(self, pid: int) -> int:
+    def last_recorded(self, pid: int) -> int:
         """Return the last recorded round of a robot; -1 before its `init`."""
         robot = self._robots[pid]
-        return robot.told if robot.told or robot.init is not None else -1
+        return robot.last_recorded if robot.last_recorded or robot.init is not None else -1
 
     def calls(self, pid: int) -> Calls:
         """Return the robot's calls of callable ports in `round`."""
@@ -89,7 +89,7 @@ class Truth:
         if self.round == 0:
             for pid, robot in enumerate(self._robots):
                 if robot.init is not None:
-                    self._take(pid, robot.init.locals, robot.init.actuators)
+                    self._set_values(pid, robot.init.locals, robot.init.actuators)
                     self._write(pid, robot.init.shared)
             return
         records = [(pid, record) for pid, robot in enumerate(self._robots) for record in self._due(robot)]
@@ -114,8 +114,8 @@ class Truth:
             if name in self.values:
                 self.values[name][pid] = self._read(name, record.sensors)
         if record.restored is not None:
-            self._take(pid, record.restored.locals, record.restored.actuators)
-        self._take(pid, record.locals, record.actuators)
+            self._set_values(pid, record.restored.locals, record.restored.actuators)
+        self._set_values(pid, record.locals, record.actuators)
         for name in record.actuators:
             for sensor in self._clears.get(name, ()):
                 if sensor in self.values:
@@ -125,7 +125,7 @@ class Truth:
             (port, _arguments(args), self._one(port, answer)) for port, args, answer in record.calls
         )
 
-    def _take(self, pid: int, *groups: Values) -> None:
+    def _set_values(self, pid: int, *groups: Values) -> None:
         for group in groups:
             for name in group:
                 self.values[name][pid] = self._read(name, group)
@@ -148,7 +148,7 @@ class Truth:
                 else:
                     self.values[name] = self._one(name, raw)
 
-    def _unset(self, name: str, init: Init | None) -> Any:
+    def _unset(self, name: str, init: InitRecord | None) -> Any:
         """Return an actuator's value before it is written: some hold the value of a sensor."""
         port = next(p for p in self._program.ports if p.name == name)
         if port.held and init is not None:

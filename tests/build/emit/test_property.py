@@ -9,7 +9,7 @@ import pytest
 
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.property import properties_text
-from koordgen.runtime.program.property import UNKNOWN, Bound, Known, Outcome, Properties, Read, Trail, judged
+from koordgen.runtime.program.property import UNKNOWN, BoundName, Known, Outcome, Properties, Read, Trail, judged
 from koordgen.runtime.values.points import Point
 from tests.build.emit.generated import _module, checked
 
@@ -82,13 +82,13 @@ def test_a_false_property_tells_of_whom_and_by_what(found: Properties) -> None:
     near = [Point(), Point(1.0), Point(1.25)]
     assert ask(found, "Apart", trail, Motion__position=near) == ("violated", "")
     assert trail == [
-        Bound("i", 1, True), Bound("j", 2, True),
+        BoundName("i", 1, True), BoundName("j", 2, True),
         Read("Motion.position", 1, near[1]), Read("Motion.position", 2, near[2]),
     ]  # fmt: skip
     trail.clear()
     Task = sys.modules["program"].Task
     assert ask(found, "Listed", trail, tasks=(Task(Point(), 1), Task(Point(), 7)))[0] == "violated"
-    assert [b for b in trail if isinstance(b, Bound)] == [Bound("t", Task(Point(), 7), False)]
+    assert [b for b in trail if isinstance(b, BoundName)] == [BoundName("t", Task(Point(), 7), False)]
     trail.clear()
     assert ask(found, "Apart", trail) == ("held", "") and not trail
 

@@ -166,7 +166,7 @@ def test_a_change_that_fails_leaves_the_place() -> None:
     state = program.begin(frame(program))
     with pytest.raises(Exception, match="out of range"):
         program.events[0].effect(state)
-    assert state.news() == {}
+    assert state.written_values() == {}
 
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)

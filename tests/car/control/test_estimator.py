@@ -8,7 +8,7 @@ import random
 import pytest
 
 from koordgen.runtime.values.points import Point, Pose
-from targets.car.base.bicycle import State, advance, turning_radius, wrap
+from targets.car.base.bicycle import BicycleState, advance, turning_radius, wrap
 from targets.car.control.estimator import Estimator
 
 WHEELBASE = 0.33
@@ -16,7 +16,7 @@ WHEELBASE = 0.33
 
 @pytest.mark.parametrize(("speed", "steering"), [(1.0, 0.3), (-0.7, 0.3), (1.0, 0.0), (0.5, -0.38), (0.0, 0.2)])
 def test_an_arc_is_what_many_small_steps_come_to(speed: float, steering: float) -> None:
-    begin = State(1.0, -2.0, 0.5, speed, steering)
+    begin = BicycleState(1.0, -2.0, 0.5, speed, steering)
     x, y, yaw = begin.x, begin.y, begin.yaw
     for _ in range(20_000):
         dt = 2.0 / 20_000
@@ -28,7 +28,7 @@ def test_an_arc_is_what_many_small_steps_come_to(speed: float, steering: float) 
 
 def test_a_full_circle_has_the_turning_radius() -> None:
     radius = turning_radius(0.3, WHEELBASE)
-    begin = State(0.0, 0.0, 0.0, 1.0, 0.3)
+    begin = BicycleState(0.0, 0.0, 0.0, 1.0, 0.3)
     half = advance(begin, math.pi * radius, WHEELBASE)
     assert (half.x, half.y) == pytest.approx((0.0, 2 * radius))
     assert abs(wrap(half.yaw - math.pi)) < 1e-9
@@ -65,7 +65,7 @@ def test_a_heading_that_flips_is_a_jump() -> None:
 def test_no_motion_that_a_car_can_make_is_a_jump(speed: float) -> None:
     """Not even after the longest gap that does not brake it, without a word from its wheels."""
     estimator = Estimator(WHEELBASE, speed)
-    truth = State(0.0, 0.0, 0.0, speed, 0.4)
+    truth = BicycleState(0.0, 0.0, 0.0, speed, 0.4)
     for i in range(40):
         truth = advance(truth, 0.3, WHEELBASE)
         estimator.predict(0.3 * i, 0.0)
@@ -75,7 +75,7 @@ def test_no_motion_that_a_car_can_make_is_a_jump(speed: float) -> None:
 def test_noise_is_smoothed_without_lag_while_driving() -> None:
     dice = random.Random(6)
     estimator = Estimator(WHEELBASE)
-    truth = State(0.0, 0.0, 3.0, 1.0, 0.2)  # its yaw passes pi
+    truth = BicycleState(0.0, 0.0, 3.0, 1.0, 0.2)  # its yaw passes pi
     errors = []
     for i in range(500):
         now = i * 0.02

@@ -9,7 +9,7 @@ import pytest
 
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.control.fence import beyond, stops_inside
 from targets.car.control.mpc import STEP, Command
 from tests.car.platform.world import FENCE, TestBody, World
@@ -18,14 +18,14 @@ WHEELBASE, DECELERATION = 0.33, 3.0
 LARGE = Box(Point(-20.0, -20.0, 0.0), Point(20.0, 20.0, 1.0))
 
 
-def brakes(state: State, command: Command, fence: Box = FENCE) -> bool:
+def brakes(state: BicycleState, command: Command, fence: Box = FENCE) -> bool:
     return not stops_inside(fence, state, command, DECELERATION, WHEELBASE)
 
 
 def farthest(speed: float, steering: float, yaw: float) -> tuple[float, float]:
     """How far out a car gets, metres, that drives at a speed until it is braked; and how far from the fence it stands
     then. Its motor follows with a lag of 0.1 s; it brakes with DECELERATION. (The bicycle model.)"""
-    state = State(0.0, 0.0, yaw, speed, steering)
+    state = BicycleState(0.0, 0.0, yaw, speed, steering)
     out, braking = -math.inf, False
     for _ in range(4000):
         braking = braking or brakes(state, Command(speed, steering), LARGE)
@@ -49,30 +49,30 @@ def test_it_stops_inside_at_every_speed_and_not_far_from_it(speed: float, steeri
 
 
 def test_it_may_turn_before_the_fence_and_drive_along_it() -> None:
-    along = State(0.0, 4.98, 0.0, 3.0)
+    along = BicycleState(0.0, 4.98, 0.0, 3.0)
     assert not brakes(along, Command(3.0, 0.0))
     assert brakes(along, Command(3.0, 0.1))
-    assert not brakes(State(5.0, 0.0, 0.0, 1.0), Command(1.0, 0.4)), "its circle of 0.8 m has room"
-    assert brakes(State(5.7, 0.0, 0.0, 1.0), Command(1.0, 0.0))
+    assert not brakes(BicycleState(5.0, 0.0, 0.0, 1.0), Command(1.0, 0.4)), "its circle of 0.8 m has room"
+    assert brakes(BicycleState(5.7, 0.0, 0.0, 1.0), Command(1.0, 0.0))
 
 
 def test_the_present_speed_counts_as_the_commanded_one_does() -> None:
-    assert brakes(State(5.5, 0.0, 0.0, 2.0), Command(0.1, 0.0))
-    assert brakes(State(5.9, 0.0, 0.0, 0.0), Command(1.0, 0.0))
-    assert not brakes(State(5.5, 0.0, 0.0, 0.0), Command(-2.0, 0.0))
+    assert brakes(BicycleState(5.5, 0.0, 0.0, 2.0), Command(0.1, 0.0))
+    assert brakes(BicycleState(5.9, 0.0, 0.0, 0.0), Command(1.0, 0.0))
+    assert not brakes(BicycleState(5.5, 0.0, 0.0, 0.0), Command(-2.0, 0.0))
 
 
 def test_a_car_outside_may_come_back_and_not_go_on() -> None:
-    outside = State(6.2, 0.0, 0.0)
+    outside = BicycleState(6.2, 0.0, 0.0)
     assert brakes(outside, Command(0.3, 0.0))
     assert not brakes(outside, Command(-0.3, 0.0))
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_what_is_not_finite_is_not_driven(wrong: float) -> None:
-    assert brakes(State(0.0, 0.0, 0.0), Command(wrong, 0.0))
-    assert brakes(State(0.0, 0.0, 0.0), Command(0.1, wrong))
-    assert brakes(State(wrong, 0.0, 0.0), Command(0.1, 0.0))
+    assert brakes(BicycleState(0.0, 0.0, 0.0), Command(wrong, 0.0))
+    assert brakes(BicycleState(0.0, 0.0, 0.0), Command(0.1, wrong))
+    assert brakes(BicycleState(wrong, 0.0, 0.0), Command(0.1, 0.0))
 
 
 def test_corners_in_any_order() -> None:

@@ -33,10 +33,12 @@ def driven(drive: str, lag: float) -> World:
 def test_the_lag_is_measured_in_motion(drive: str, lag: float) -> None:
     """The measured speed is some hundredths of a second late, too."""
     world = driven(drive, lag)
-    news, measured = world.car.news(), world.car._lag.seconds
+    log_lines, measured = world.car.log_lines(), world.car._lag.seconds
     assert measured is not None and lag < measured < 1.1 * lag + 0.12
-    warned = [line for line in news if "lag" in line]
-    assert len(warned) == (lag > LONGEST_LAG) and all(f"a lag of {measured:.1f} s" in line for line in warned), news
+    warned = [line for line in log_lines if "lag" in line]
+    assert len(warned) == (lag > LONGEST_LAG) and all(f"a lag of {measured:.1f} s" in line for line in warned), (
+        log_lines
+    )
 
 
 def test_noise_and_a_brake_are_no_lag() -> None:
@@ -71,7 +73,7 @@ def test_the_doctor_warns_of_what_was_measured() -> None:
     assert not [f for f in World().begin().car.diagnose() if f.name == "lag"], "it never drove"
     mended = driven("vesc", 0.1)
     (found,) = [f for f in mended.car.diagnose() if f.name == "lag"]
-    assert found.state == "ok" and "lag" not in "".join(mended.car.news())
+    assert found.state == "ok" and "lag" not in "".join(mended.car.log_lines())
 
 
 def test_the_lag_is_kept_beside_the_bundle(tmp_path: Path) -> None:
@@ -94,13 +96,13 @@ def test_an_approach_is_given_up_by_its_first_way_alone() -> None:
     approach.aim((4.0, 0.0))
     assert not drive(60.0), "no way was planned"
     approach.aim((5.0, 0.0))
-    approach.take(4.0, 1, anew=False)
+    approach.record_path(4.0, 1, anew=False)
     assert not drive(15.5)
-    approach.take(9.0, 3, anew=False)  # it has left the one before
+    approach.record_path(9.0, 3, anew=False)  # it has left the one before
     approach.aim((5.05, 0.0))
     assert drive(1.0)
     approach.aim((0.0, 0.0))
-    approach.take(4.0, 1, anew=False)
+    approach.record_path(4.0, 1, anew=False)
     assert not drive(15.5)
-    approach.take(4.0, 1, anew=True)  # another robot was in the way
+    approach.record_path(4.0, 1, anew=True)  # another robot was in the way
     assert not drive(15.5) and drive(1.0)

@@ -14,7 +14,7 @@ from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Unready
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.control.navigator import STRAYED
 from targets.car.platform.platform import Car
 from targets.planning.process import Inside
@@ -62,7 +62,7 @@ def test_a_car_off_its_way_and_near_to_an_obstacle_brakes_before_its_way_is_plan
     world.run(1.5)
     navigator = world.car._navigator
     assert navigator is not None
-    near = State(1.3, 0.6 + 0.14 + 0.03, 0.0, 0.5)  # half of its width and 3 cm beside the box
+    near = BicycleState(1.3, 0.6 + 0.14 + 0.03, 0.0, 0.5)  # half of its width and 3 cm beside the box
     assert world.car._avoidance.strayed(near) and not world.car._avoidance.strayed(replace(near, y=0.9))
     navigator._tracker.step(near)
     assert navigator._tracker.error > STRAYED
@@ -123,18 +123,18 @@ def blocked(**safety: Any) -> World:
 
 def test_a_car_that_makes_no_progress_says_so_and_holds() -> None:
     world = blocked()
-    (line,) = world.car.news()
+    (line,) = world.car.log_lines()
     assert line.startswith("no progress for 8 s at (") and line.endswith("braking, and looking for another path")
     world.run(2 * NO_PROGRESS)
     assert "holding until" in world.car.stall, "it stood still twice, or its time for this target is over"
-    world.car.news()
+    world.car.log_lines()
     world.run(2 * NO_PROGRESS)
-    assert world.car.news() == [] and standing(world)
+    assert world.car.log_lines() == [] and standing(world)
 
 
 def test_a_car_that_makes_no_progress_comes_to_rest_where_the_fleet_file_says_so() -> None:
     with pytest.raises(Unready, match="no progress for 8 s"):
-        blocked(missed_action="rest")
+        blocked(missed_action="stop")
 
 
 def test_a_car_that_holds_or_stands_at_its_target_is_not_stalled() -> None:
@@ -145,4 +145,4 @@ def test_a_car_that_holds_or_stands_at_its_target_is_not_stalled() -> None:
     world.run(2 * NO_PROGRESS)
     world.car.hold(False, world.now)
     world.run(15.0 + 2 * NO_PROGRESS)
-    assert world.value("reached") is True and world.car.news() == []
+    assert world.value("reached") is True and world.car.log_lines() == []

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from targets.car.base.bicycle import State, advance, turning_radius
-from targets.car.control.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc, choose
-from targets.car.control.tracker import Track, Tracker
+from targets.car.base.bicycle import BicycleState, advance, turning_radius
+from targets.car.control.mpc import BLIND_STEPS, STEP, STEPS, Command, ControlLimits, Mpc, choose
+from targets.car.control.tracker import TrackedPath, Tracker
 from targets.car.planning.planner import PathPose, Segment
 from tests.car.platform.world import TestBody
 
-LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
+LIMITS = ControlLimits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 PHYSICS = 12
 
 
@@ -25,14 +25,16 @@ def mpc() -> Mpc:
     return Mpc(LIMITS)
 
 
-def curve(bend: Callable[[float], float], length: float, direction: int = 1, start: State | None = None) -> Segment:
+def curve(
+    bend: Callable[[float], float], length: float, direction: int = 1, start: BicycleState | None = None
+) -> Segment:
     """A segment with the curvature `bend(station)`."""
-    at = start or State(0.0, 0.0, 0.0)
+    at = start or BicycleState(0.0, 0.0, 0.0)
     poses = [PathPose(at.x, at.y, at.yaw, bend(0.0))]
     count = round(length / 0.05)
     for i in range(1, count + 1):
         kappa = bend((i - 0.5) * length / count)
-        at = State(at.x, at.y, at.yaw, direction * length / count, math.atan(LIMITS.wheelbase * kappa))
+        at = BicycleState(at.x, at.y, at.yaw, direction * length / count, math.atan(LIMITS.wheelbase * kappa))
         at = advance(at, 1.0, LIMITS.wheelbase)
         poses.append(PathPose(at.x, at.y, at.yaw, kappa))
     return Segment(direction, tuple(poses), length)
@@ -43,12 +45,12 @@ def drive(mpc: Mpc, path: list[Segment], body: TestBody, noise: float = 0.0) -> 
     dice = random.Random(4)
     tracker = Tracker(LIMITS, mpc)
     tracker.stop()
-    tracker.take(path)
+    tracker.set_path(path)
     last, worst, steps = Command(0.0, 0.0), 0.0, 0
     while not tracker.done and steps < 1200:
         truth = body.truth
         x, y = truth.x + dice.gauss(0, noise), truth.y + dice.gauss(0, noise)
-        command = tracker.step(State(x, y, truth.yaw + dice.gauss(0, noise), last.speed, last.steering))
+        command = tracker.step(BicycleState(x, y, truth.yaw + dice.gauss(0, noise), last.speed, last.steering))
         assert tracker.failures == 0
         assert abs(command.speed) <= LIMITS.speed and abs(command.steering) <= LIMITS.steering
         assert abs(command.speed - last.speed) <= LIMITS.acceleration * STEP * 1.05 + 1e-3
@@ -86,7 +88,7 @@ def test_it_parks_at_the_end_of_a_curve_in_reverse(mpc: Mpc) -> None:
     sharp = 1 / turning_radius(0.34, LIMITS.wheelbase)
     forward = curve(lambda s: sharp if s < 0.6 else 0.0, 1.5)
     end = forward.poses[-1]
-    reverse = curve(lambda s: -sharp, 0.9, -1, State(end.x, end.y, end.yaw))
+    reverse = curve(lambda s: -sharp, 0.9, -1, BicycleState(end.x, end.y, end.yaw))
     body = TestBody()
     worst, _ = drive(mpc, [forward, reverse], body)
     last = reverse.poses[-1]
@@ -103,15 +105,15 @@ def test_it_comes_back_to_the_path_from_beside_it(mpc: Mpc) -> None:
 
 
 def test_yaw_is_taken_the_short_way_round(mpc: Mpc) -> None:
-    start = State(0.0, 0.0, 3.1)
+    start = BicycleState(0.0, 0.0, 3.1)
     body = TestBody(0.0, 0.0, -math.pi + 0.01)  # nearly the same heading, a turn apart in numbers
     worst, _ = drive(mpc, [curve(lambda s: 0.0, 3.0, 1, start)], body)
     assert worst < 0.06
 
 
 def test_speed_falls_for_curves_and_to_zero_at_the_end() -> None:
-    fast = Limits(0.33, 3.0, 1.5, 0.387, 3.0)
-    track = Track(curve(lambda s: 1.0 if 4.0 < s < 6.0 else 0.0, 10.0), fast)
+    fast = ControlLimits(0.33, 3.0, 1.5, 0.387, 3.0)
+    track = TrackedPath(curve(lambda s: 1.0 if 4.0 < s < 6.0 else 0.0, 10.0), fast)
 
     def allowed(station: float) -> float:
         track.station = station
@@ -125,7 +127,7 @@ def test_speed_falls_for_curves_and_to_zero_at_the_end() -> None:
 
 
 def test_the_reference_gathers_speed_and_never_passes_the_end() -> None:
-    track = Track(curve(lambda s: 0.0, 0.5), LIMITS)
+    track = TrackedPath(curve(lambda s: 0.0, 0.5), LIMITS)
     wished = track.reference(0.0, 0.0)
     assert len(wished) == STEPS
     assert wished[0].speed == pytest.approx(LIMITS.acceleration * STEP)
@@ -142,13 +144,13 @@ def test_whatever_it_is_told_its_commands_are_finite_and_within_limits(
 ) -> None:
     mpc.reset()
     for value in values[1:]:
-        command = mpc.follow(State(*value), [State(*values[0])] * STEPS)
+        command = mpc.follow(BicycleState(*value), [BicycleState(*values[0])] * STEPS)
         assert math.isfinite(command.speed) and abs(command.speed) <= LIMITS.speed
         assert math.isfinite(command.steering) and abs(command.steering) <= LIMITS.steering
 
 
-def straight(speed: float) -> list[State]:
-    return [State(speed * STEP * (k + 1), 0.0, 0.0, speed, 0.0) for k in range(STEPS)]
+def straight(speed: float) -> list[BicycleState]:
+    return [BicycleState(speed * STEP * (k + 1), 0.0, 0.0, speed, 0.0) for k in range(STEPS)]
 
 
 class Flaky:
@@ -184,14 +186,14 @@ def test_ten_failed_or_late_solves_are_bridged_by_the_plan_before_then_the_car_b
 ) -> None:
     solver = Flaky()
     mpc = Mpc(LIMITS, solver, solver.clock)
-    state = State(0.0, 0.0, 0.0, 0.5, 0.0)
+    state = BicycleState(0.0, 0.0, 0.0, 0.5, 0.0)
     mpc.follow(state, straight(0.9))
     planned = list(mpc._plan)
     assert planned[1].speed > planned[0].speed > 0.5 and mpc.trouble == ""
     solver.failing, solver.answer, solver.seconds = True, answer, seconds
     last = planned[0]
     for k in range(10):
-        command = mpc.follow(State(0.0, 0.0, 0.0, last.speed, last.steering), straight(0.9))
+        command = mpc.follow(BicycleState(0.0, 0.0, 0.0, last.speed, last.steering), straight(0.9))
         assert (mpc.failures, mpc.trouble) == (k + 1, reason)
         if k < BLIND_STEPS:
             assert command.speed == pytest.approx(planned[k + 1].speed), "the shifted plan"
@@ -200,17 +202,19 @@ def test_ten_failed_or_late_solves_are_bridged_by_the_plan_before_then_the_car_b
         assert command.steering == pytest.approx(0.0, abs=1e-6)
         last = command
     solver.failing, solver.seconds = False, 0.0
-    assert mpc.follow(State(0.0, 0.0, 0.0), straight(0.9)).speed > 0
+    assert mpc.follow(BicycleState(0.0, 0.0, 0.0), straight(0.9)).speed > 0
     assert (mpc.failures, mpc.trouble) == (0, "")
 
 
 @pytest.mark.parametrize("what", ["state", "speed", "path", "short"])
 def test_what_is_no_number_is_refused_and_the_plan_before_stands_in(mpc: Mpc, what: str) -> None:
     mpc.reset()
-    first = mpc.follow(State(0.0, 0.0, 0.0, 0.5, 0.0), straight(0.9))
+    first = mpc.follow(BicycleState(0.0, 0.0, 0.0, 0.5, 0.0), straight(0.9))
     second = mpc._plan[1]
-    nan = State(0.0, math.nan, 0.0, first.speed, 0.0)
-    state = {"state": nan, "speed": State(0.0, 0.0, 0.0, math.nan, 0.0)}.get(what, State(0.02, 0, 0, first.speed, 0))
+    nan = BicycleState(0.0, math.nan, 0.0, first.speed, 0.0)
+    state = {"state": nan, "speed": BicycleState(0.0, 0.0, 0.0, math.nan, 0.0)}.get(
+        what, BicycleState(0.02, 0, 0, first.speed, 0)
+    )
     path = {"path": [*straight(0.9)[:-1], nan], "short": straight(0.9)[:-1]}.get(what, straight(0.9))
     assert mpc.follow(state, path) == second
     own = what in ("state", "speed")
@@ -223,7 +227,7 @@ def test_a_command_is_in_reach_of_the_one_before_whatever_the_solver_says(wild: 
     mpc = Mpc(LIMITS, lambda present, wished, inputs: [wild] * 2 * STEPS)
     speed, steering = 0.0, 0.0
     for _ in range(40):
-        command = mpc.follow(State(0.0, 0.0, 0.0, speed, steering), straight(0.9))
+        command = mpc.follow(BicycleState(0.0, 0.0, 0.0, speed, steering), straight(0.9))
         assert abs(command.speed - speed) <= LIMITS.acceleration * STEP + 1e-12
         assert abs(command.steering - steering) <= LIMITS.steering_rate * STEP + 1e-12
         speed, steering = command.speed, command.steering
@@ -232,5 +236,5 @@ def test_a_command_is_in_reach_of_the_one_before_whatever_the_solver_says(wild: 
 
 def test_it_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     mpc = Mpc(LIMITS)
-    mpc.follow(State(0.0, 0.0, 0.0), [State(1e9, -1e9, 40.0, 1.0, 0.3)] * STEPS)
+    mpc.follow(BicycleState(0.0, 0.0, 0.0), [BicycleState(1e9, -1e9, 40.0, 1.0, 0.3)] * STEPS)
     assert capfd.readouterr() == ("", "")

@@ -13,10 +13,10 @@ from koordgen.runtime.native.loader import NotCompiled
 from targets.car.control.mpc import STEPS, choose
 from targets.car.control.solver.compiled import CompiledSolver, load
 from targets.car.control.solver.fallback import CasadiSolver
-from targets.car.control.solver.problem import Limits
+from targets.car.control.solver.problem import ControlLimits
 from tests.car.platform.world import World
 
-LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
+LIMITS = ControlLimits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 SLOWER = "the controller runs in CasADi, which takes several times longer: "
 FAILS = SLOWER + "the C code of mpc cannot be compiled: "
 
@@ -88,7 +88,7 @@ def test_a_robot_without_a_compiler_drives_says_so_and_its_diagnosis_warns(
     monkeypatch.setenv("PATH", "")
     world = World().begin()
     why = FAILS + "there is no C compiler (cc, gcc, clang)"
-    assert world.car.news() == [why] and world.car.news() == []
+    assert world.car.log_lines() == [why] and world.car.log_lines() == []
     world.go(1.5, 0.0)
     world.run(5.0)
     assert world.value("reached") is True

@@ -7,31 +7,31 @@ import random
 
 import pytest
 
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.control.solver import compiled
 from targets.car.control.solver.fallback import CasadiSolver
 from targets.car.control.solver.model import STEP, STEPS
-from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
+from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, ControlLimits
 
 ROLLING = [0.0] * 2 * STEPS  # inputs: no change of speed and steering
 Five = tuple[float, float, float, float, float]
 
 
-def some_car(dice: random.Random) -> Limits:
-    return Limits(
+def some_car(dice: random.Random) -> ControlLimits:
+    return ControlLimits(
         dice.uniform(0.2, 0.6), dice.uniform(0.5, 3), dice.uniform(1, 5), dice.uniform(0.2, 0.6), dice.uniform(1, 6)
     )
 
 
-def problem(dice: random.Random, limits: Limits, spread: float) -> tuple[Five, list[float]]:
+def problem(dice: random.Random, limits: ControlLimits, spread: float) -> tuple[Five, list[float]]:
     """A car somewhere, `spread` metres and twice as many radians beside a path of changing curvature: state, wishes."""
     x, y, yaw = dice.uniform(-50, 50), dice.uniform(-50, 50), dice.uniform(-6, 6)
     speed, steering = dice.uniform(-0.9, 0.9) * limits.speed, dice.uniform(-0.9, 0.9) * limits.steering
     pace = max(-limits.speed, min(limits.speed, speed + dice.uniform(-0.2, 0.2)))
-    at = State(x + dice.gauss(0, spread), y + dice.gauss(0, spread), yaw + dice.gauss(0, 2 * spread), pace)
+    at = BicycleState(x + dice.gauss(0, spread), y + dice.gauss(0, spread), yaw + dice.gauss(0, 2 * spread), pace)
     bend, wished = dice.uniform(-0.9, 0.9) * limits.steering, []
     for k in range(STEPS):
-        at = State(at.x, at.y, at.yaw, at.speed, bend * math.sin(k / 6))
+        at = BicycleState(at.x, at.y, at.yaw, at.speed, bend * math.sin(k / 6))
         at = advance(at, STEP, limits.wheelbase)
         wished += [at.x, at.y, at.yaw, at.speed, at.steering]
     return (x, y, yaw, speed, steering), wished
@@ -50,7 +50,7 @@ def step(state: Five, inputs: tuple[float, float], wheelbase: float) -> Five:
     return moved(slope(moved(slope(state), STEP / 2)), STEP)
 
 
-def cost(limits: Limits, state: Five, wished: list[float], plan: list[float], slack: float = 1e-4) -> float:
+def cost(limits: ControlLimits, state: Five, wished: list[float], plan: list[float], slack: float = 1e-4) -> float:
     """Of a plan that keeps the limits, but for `slack`."""
     total = 0.0
     for k in range(STEPS):

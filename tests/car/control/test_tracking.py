@@ -10,13 +10,13 @@ import pytest
 
 from benchmarks.fixtures import racecar
 from benchmarks.fixtures.slalom import LIMITS, aside, slalom_path
-from targets.car.base.bicycle import State
-from targets.car.control.mpc import BLIND_STEPS, STEP, STEPS, Command, Limits, Mpc
-from targets.car.control.tracker import Track, Tracker
+from targets.car.base.bicycle import BicycleState
+from targets.car.control.mpc import BLIND_STEPS, STEP, STEPS, Command, ControlLimits, Mpc
+from targets.car.control.tracker import TrackedPath, Tracker
 from targets.car.planning.planner import PathPose, Segment
 from tests.car.platform.world import TestBody, World
 
-SLOW = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
+SLOW = ControlLimits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.387, steering_rate=3.0)
 
 
 def line(length: float) -> Segment:
@@ -31,7 +31,7 @@ def drive(tracker: Tracker, body: TestBody, clear: Callable[[], float], steps: i
         if tracker.done:
             break
         t = body.truth
-        last = tracker.step(State(t.x, t.y, t.yaw, last.speed, last.steering), clear())
+        last = tracker.step(BicycleState(t.x, t.y, t.yaw, last.speed, last.steering), clear())
         body.drive(last.speed, last.steering)
         for _ in range(12):
             body.step(STEP / 12)
@@ -47,7 +47,7 @@ def mpc() -> Mpc:
 def test_it_stands_before_what_is_in_the_way_and_goes_on_when_it_has_gone(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
-    tracker.take([line(5.0)])
+    tracker.set_path([line(5.0)])
     speeds = drive(tracker, body, lambda: 2.0 - body.truth.x, 120)
     assert max(speeds) > 0.9
     assert 1.9 < body.truth.x < 2.0
@@ -61,7 +61,7 @@ def test_its_station_counts_the_segments_that_are_behind(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
     back = Segment(-1, tuple(PathPose(1.0 - 0.05 * i, 0.0, 0.0, 0.0) for i in range(11)), 0.5)
-    tracker.take([line(1.0), back])
+    tracker.set_path([line(1.0), back])
     while tracker.gear == 1 and not tracker.done:
         drive(tracker, body, lambda: math.inf, 1)
     assert tracker.gear == -1 and 0.95 < tracker.station < 1.1
@@ -72,7 +72,7 @@ def test_its_station_counts_the_segments_that_are_behind(mpc: Mpc) -> None:
 def test_what_appears_too_near_is_braked_for_as_hard_as_the_limits_allow(mpc: Mpc) -> None:
     tracker, body = Tracker(SLOW, mpc), TestBody()
     tracker.stop()
-    tracker.take([line(8.0)])
+    tracker.set_path([line(8.0)])
     drive(tracker, body, lambda: math.inf, 30)
     seen = body.truth.x
     speeds = drive(tracker, body, lambda: seen + 0.1 - body.truth.x, 20)
@@ -83,14 +83,14 @@ def test_what_appears_too_near_is_braked_for_as_hard_as_the_limits_allow(mpc: Mp
 
 @pytest.mark.parametrize("clear", [0.0, -1.0, 0.3, 1.0])
 def test_the_reference_stays_before_the_end_of_what_is_clear(clear: float) -> None:
-    track = Track(line(3.0), SLOW)
+    track = TrackedPath(line(3.0), SLOW)
     for wished in track.reference(0.9, 0.0, clear):
         assert wished.x <= max(0.0, clear) + 1e-9
         assert wished.speed <= math.sqrt(2 * SLOW.acceleration * max(0.0, clear)) + 1e-9
 
 
 def test_an_obstacle_that_is_no_number_is_one_at_once(mpc: Mpc) -> None:
-    track = Track(line(3.0), SLOW)
+    track = TrackedPath(line(3.0), SLOW)
     assert max(w.x for w in track.reference(0.9, 0.0, math.nan)) == 0.0
 
 
@@ -102,8 +102,8 @@ def test_a_path_made_anew_at_each_step_is_driven_without_stopping(mpc: Mpc) -> N
     for k in range(160):
         t = body.truth
         ahead = tuple(PathPose(t.x + 0.05 * i, t.y, t.yaw, 0.0) for i in range(17))  # ends 0.8 m ahead, always
-        tracker.take([Segment(1, ahead, 0.8)])
-        last = tracker.step(State(t.x, t.y, t.yaw, last.speed, last.steering))
+        tracker.set_path([Segment(1, ahead, 0.8)])
+        last = tracker.step(BicycleState(t.x, t.y, t.yaw, last.speed, last.steering))
         assert not tracker.done and tracker.failures == 0
         body.drive(last.speed, last.steering)
         for _ in range(12):
@@ -114,8 +114,8 @@ def test_a_path_made_anew_at_each_step_is_driven_without_stopping(mpc: Mpc) -> N
 
 def test_a_solver_that_fails_ten_times_brings_the_car_to_a_stop_and_says_why() -> None:
     tracker, body = Tracker(SLOW, Mpc(SLOW, lambda present, wished, inputs: None)), TestBody()
-    body.truth = State(0.0, 0.0, 0.0, 0.8, 0.0)
-    tracker.take([line(5.0)])
+    body.truth = BicycleState(0.0, 0.0, 0.0, 0.8, 0.0)
+    tracker.set_path([line(5.0)])
     speeds = drive(tracker, body, lambda: math.inf, 12)
     assert tracker.failures == 12 > BLIND_STEPS
     assert tracker.trouble == "the solver finds no plan to follow the path"
@@ -125,7 +125,7 @@ def test_a_solver_that_fails_ten_times_brings_the_car_to_a_stop_and_says_why() -
 def test_the_slalom_is_as_sharp_and_as_fast_as_it_says() -> None:
     path = slalom_path(4)
     assert {round(abs(p.curvature), 6) for p in path.poses} == {1.0}
-    assert Track(path, LIMITS).reference(1.5, path.poses[0].yaw)[STEPS // 2].speed == pytest.approx(1.5)
+    assert TrackedPath(path, LIMITS).reference(1.5, path.poses[0].yaw)[STEPS // 2].speed == pytest.approx(1.5)
     assert aside(path, path.poses[7].x, path.poses[7].y) == pytest.approx(0.0, abs=1e-9)
 
 

@@ -86,15 +86,15 @@ def test_rest_without_any_measured_speed_takes_some_seconds_of_braking() -> None
     world.go(5.0, 0.0)
     world.run(2.0)
     world.station = None
-    world.car.rest(world.now)
-    begin, rested_at = world.now, math.inf
+    world.car.stop(world.now)
+    begin, stopped_at = world.now, math.inf
     while world.now - begin < 1.8:  # the controller brakes, but its answers are lost
         world.physics(0.05)
         world.wire.to_agent = b""
         world.car.poll(world.now)
-        if world.car.rested:
-            rested_at = min(rested_at, world.now - begin)
-    assert rested_at == pytest.approx(1.5, abs=0.1)
+        if world.car.stopped:
+            stopped_at = min(stopped_at, world.now - begin)
+    assert stopped_at == pytest.approx(1.5, abs=0.1)
 
 
 def test_a_device_that_cannot_be_opened_is_unready() -> None:
@@ -147,7 +147,7 @@ def test_a_car_that_no_longer_hears_its_motor_controller_brakes_it_all_the_same(
             world.car.poll(world.now)
         except Unready:
             lost += 1
-            world.car.rest(world.now)
+            world.car.stop(world.now)
             assert vesc.encode(vesc.Brake(10.0)) in world.wire.to_drive
     assert lost > 30 and standing(world)
 
@@ -220,9 +220,9 @@ def test_a_position_source_that_has_jumped_brakes_it_for_good_and_says_so() -> N
     with pytest.raises(Unready, match="position source jumped") as lost:
         elsewhere(world, 0.3, -3.0)
     assert lost.value.hint
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     elsewhere(world, 1.0, -3.0)
-    assert world.car.rested
+    assert world.car.stopped
 
 
 def test_a_car_that_stood_and_was_carried_is_believed_after_a_second() -> None:
@@ -232,7 +232,7 @@ def test_a_car_that_stood_and_was_carried_is_believed_after_a_second() -> None:
     assert "jumped" in world.car.progress
     elsewhere(world, 0.4, -3.0)
     assert world.car.ready and world.value("position").x == pytest.approx(-3.0, abs=0.01)
-    assert any("jumped by 3.0 m: accepted" in line for line in world.car.news())
+    assert any("jumped by 3.0 m: accepted" in line for line in world.car.log_lines())
 
 
 def test_positions_that_are_no_numbers_are_dropped_and_brake_it() -> None:
@@ -260,7 +260,10 @@ def test_unplugged_while_driving_and_plugged_in_again_within_two_seconds_it_goes
     world.wire.unplugged = False
     world.run(8.0)
     assert world.value("reached") is True
-    assert world.car.news() == ["/dev/ttyACM0 is gone: braking", "the motor controller at /dev/ttyACM0 is there again"]
+    assert world.car.log_lines() == [
+        "/dev/ttyACM0 is gone: braking",
+        "the motor controller at /dev/ttyACM0 is there again",
+    ]
 
 
 def test_unplugged_for_longer_it_is_unready_and_brakes_when_it_is_back() -> None:
@@ -271,7 +274,7 @@ def test_unplugged_for_longer_it_is_unready_and_brakes_when_it_is_back() -> None
     with pytest.raises(Unready, match="/dev/ttyACM0 is gone") as lost:
         world.run(2.5)
     assert lost.value.hint
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     for _ in range(20):
         world.physics(0.05)
         with pytest.raises(Unready):
@@ -281,7 +284,7 @@ def test_unplugged_for_longer_it_is_unready_and_brakes_when_it_is_back() -> None
         world.physics(0.05)
         with suppress(Unready):
             world.car.poll(world.now)
-    assert world.car.rested
+    assert world.car.stopped
 
 
 @pytest.mark.parametrize("major", [1, 2])

@@ -139,9 +139,9 @@ def test_a_rover_drives_to_a_point_and_is_disarmed_at_the_end(position: str) -> 
     world.run(10.0)
     assert world.value("reached") is True and standing(world), world.car.progress
     assert world.distance(3.0, 1.0) < 0.12
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     world.run(1.0)
-    assert world.car.rested
+    assert world.car.stopped
     world.car.close()
     world.physics(0.1)
     assert not world.rover.armed
@@ -164,7 +164,7 @@ def test_neutral_goes_out_at_20_hz_whenever_it_is_braked() -> None:
     world.go(4.0, 0.0)
     world.run(2.0)
     assert max(throttle for _, throttle in world.overrides()) > 1600
-    world.car.rest(world.now)
+    world.car.stop(world.now)
     world.run(1.0)
     assert world.overrides() == [(1500, 1500)] * 20 and standing(world)
 
@@ -184,7 +184,7 @@ def test_a_pilot_who_takes_the_mode_keeps_it_and_gets_the_sticks() -> None:
     assert world.rover is not None
     world.rover.mode = HOLD
     world.run(1.5)
-    assert world.car.progress == "braking: somebody has changed the rover to mode 4, and keeps it"
+    assert world.car.progress == "braking: somebody has changed the rover to mode 4, and controls it"
     assert world.rover.mode == HOLD and not world.car.ready
     world.overrides()
     world.run(0.5)
@@ -192,7 +192,7 @@ def test_a_pilot_who_takes_the_mode_keeps_it_and_gets_the_sticks() -> None:
     world.rover.mode = MANUAL
     world.run(2.0)
     assert standing(world), "not even when it is given back"
-    assert any("mode 4" in line for line in world.car.news())
+    assert any("mode 4" in line for line in world.car.log_lines())
     world.car.close()
     world.physics(0.1)
     assert world.rover.armed, "whose it is now decides"
@@ -245,7 +245,7 @@ def test_a_copter_is_not_driven(monkeypatch: pytest.MonkeyPatch) -> None:
     world = World()
     monkeypatch.setattr(mavlink, "MAV_TYPE_GROUND_ROVER", mavlink.MAV_TYPE_QUADROTOR)
     world.car.start(world.now)
-    with pytest.raises(Unready, match="no ArduPilot rover"):
+    with pytest.raises(Unready, match="is not an ArduPilot rover"):
         world.run(2.0)
     assert not world.overrides()
 
@@ -282,13 +282,13 @@ def test_diagnosis_of_a_silent_rover() -> None:
 
 def test_diagnosis_of_an_estimate_that_is_not_there() -> None:
     found = {f.name: f for f in World(boot=60.0, position="rover").car.diagnose()}
-    assert found["position"].state == "fail" and "has not told where it is" in found["position"].found
+    assert found["position"].state == "fail" and "has not reported its position" in found["position"].found
 
 
 def test_a_rover_without_an_estimate_is_waited_for_and_then_unready() -> None:
     world = World(boot=100.0, position="rover")
     world.car.start(world.now)
-    with pytest.raises(Unready, match="has not told where it is"):
+    with pytest.raises(Unready, match="has not reported its position"):
         world.run(61.0)
 
 

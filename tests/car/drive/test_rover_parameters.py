@@ -107,6 +107,6 @@ def test_a_rover_that_a_killed_agent_left_armed() -> None:
 
 def test_the_agent_says_that_its_rover_stays_armed() -> None:
     world = World().begin()
-    assert [line for line in world.car.news() if "armed" in line] == [
+    assert [line for line in world.car.log_lines() if "armed" in line] == [
         "the rover is armed; it stays armed if this agent is killed"
     ]

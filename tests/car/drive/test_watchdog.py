@@ -103,11 +103,11 @@ def test_an_agent_that_falls_silent_is_braked_for_within_a_fifth_of_a_second_at_
     line.came.clear()
     agent.drive(line, 0.5)
     assert not line.times(vesc.Brake), "it leaves the car to the agent again"
-    (told,) = agent.dog.news()
+    (told,) = agent.dog.log_lines()
     assert told.startswith("the watchdog braked because no command had come for 0.1")
     line.watch(0.4)
     agent.drive(line, 0.2)
-    assert not agent.dog.news(), "not told again within 5 s"
+    assert not agent.dog.log_lines(), "not told again within 5 s"
 
 
 def test_commands_are_no_later_for_it(line: Line, agent: Agent) -> None:
@@ -165,7 +165,7 @@ def test_signals_for_the_agent_do_not_end_it(line: Line, agent: Agent) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(agent.dog.pid, number)
     agent.drive(line, 0.3)
-    assert not agent.dog.news() and not agent.dog.trouble
+    assert not agent.dog.log_lines() and not agent.dog.trouble
     line.watch(0.3)
     assert line.braked_after_driving() < 0.2
 
@@ -182,7 +182,7 @@ def test_a_watchdog_that_dies_or_hangs_is_told_and_replaced(line: Line, agent: A
         troubles.add(agent.dog.trouble)
         assert time.monotonic() - begin < 5.0
     assert troubles - {""}, "nothing is driven meanwhile"
-    assert any("it is begun anew" in line for line in agent.dog.news())
+    assert any("it is begun anew" in line for line in agent.dog.log_lines())
     line.watch(0.4)
     assert line.braked_after_driving() < 0.2
     with pytest.raises(ProcessLookupError):
@@ -199,7 +199,7 @@ def test_one_that_cannot_be_started_is_told_and_nothing_may_be_driven(
     dog.beat()
     dog.poll()
     assert dog.trouble == "waiting for the watchdog"
-    assert "cannot be started" in dog.news()[0]
+    assert "cannot be started" in dog.log_lines()[0]
     dog.close(standing=True)
     link.close()
 

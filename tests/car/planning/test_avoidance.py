@@ -91,12 +91,12 @@ def test_a_path_through_an_obstacle_is_refused_and_told_once() -> None:
         world.car.command({"Motion.path": through}, world.now)
         world.run(1.0)
     assert standing(world) and world.distance(0.0, 0.0) < 0.02 and world.value("reached") is False
-    (line,) = world.car.news()
+    (line,) = world.car.log_lines()
     assert line.startswith("not driven, holding instead: the path from (0.50, 0.00, 0.00)") and "obstacle 0" in line
     assert "comes within 0.00 m of obstacle 0" in world.car.progress
     world.car.command({"Motion.path": (Point(0.5, 0.0, 0.0), Point(0.8, 2.0, 0.0))}, world.now)
     world.run(10.0)
-    assert world.value("reached") is True and world.distance(0.8, 2.0) < 0.1 and world.car.news() == []
+    assert world.value("reached") is True and world.distance(0.8, 2.0) < 0.1 and world.car.log_lines() == []
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_where_no_way_leads_the_car_stands_and_says_why(
 )
 def test_what_the_program_asks_for_in_vain_is_told(goal: Point, said: str) -> None:
     world = among(BOX)
-    assert world.car.call("Motion.planner", (goal,)) == () and world.car.news() == [said]
+    assert world.car.call("Motion.planner", (goal,)) == () and world.car.log_lines() == [said]
 
 
 def test_other_robots_paths_are_driven_around() -> None:
@@ -223,7 +223,7 @@ def test_a_planner_of_the_users_own_answers_points_that_are_driven_one_by_one() 
     assert drive(world, 15.0, BOX) > 0.05 and world.value("reached") is True
     world = among(planner="tests.planning.own:Raises")
     assert world.car.call("Motion.planner", (Point(3.0, 0.0, 0.0),)) == ()
-    assert world.car.news() == ["no path: the planner failed: RuntimeError: no map"]
+    assert world.car.log_lines() == ["no path: the planner failed: RuntimeError: no map"]
     with pytest.raises(Unready, match="no licence"):
         among(planner="tests.planning.own:Refuses")
 

@@ -15,7 +15,7 @@ from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Grid, Point
 from targets.car.base.bicycle import wrap
-from targets.car.planning.ask import Asked
+from targets.car.planning.ask import CarJudge
 from targets.car.planning.curves import Curve, Triple, along, dubins, reeds_shepp
 from targets.car.planning.planner import NEAR_POINTS, arc, points, price, segments
 from targets.planning.ask import NAMES
@@ -96,7 +96,7 @@ def _off(a: tuple[float, float], b: tuple[float, float], p: tuple[float, float])
 
 @pytest.mark.parametrize("name", NAMES)
 def test_free_ground_is_crossed_by_a_single_curve(name: str) -> None:
-    answer = ask(Asked(name, world()), START, GOAL)
+    answer = ask(CarJudge(name, world()), START, GOAL)
     assert answer.path == (Point(1.0, 4.0, 0.0), GOAL)
     (piece,) = curve(answer).pieces
     assert piece == pytest.approx((0.0, 5.0))
@@ -106,7 +106,7 @@ def test_free_ground_is_crossed_by_a_single_curve(name: str) -> None:
 @pytest.mark.parametrize("reverse", [True, False])
 def test_a_wall_is_driven_around(name: str, reverse: bool) -> None:
     place = world((WALL,), reverse, seed=3)
-    answer = ask(Asked(name, place), START, GOAL, seconds=0.5)
+    answer = ask(CarJudge(name, place), START, GOAL, seconds=0.5)
     assert answer.path[0] == Point(1.0, 4.0, 0.0) and answer.path[-1] == GOAL
     path = segments(curve(answer))
     assert not collisions(place, path) and not infeasible(place, path)
@@ -114,7 +114,7 @@ def test_a_wall_is_driven_around(name: str, reverse: bool) -> None:
 
 
 def test_straight_is_a_single_curve_or_nothing() -> None:
-    assert ask(Asked("straight", world((WALL,))), START, GOAL).path == ()
+    assert ask(CarJudge("straight", world((WALL,))), START, GOAL).path == ()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -123,7 +123,7 @@ def test_ways_through_clutter_are_drivable_and_collide_nowhere(seed: int) -> Non
     place = scene.world(seed=seed)
     goal = Point(scene.goal[0], scene.goal[1], 0.0)
     for heading in (scene.goal[2], None):
-        answer = ask(Asked("rrt-smoothed", place), scene.start, goal, seconds=0.02, heading=heading)
+        answer = ask(CarJudge("rrt-smoothed", place), scene.start, goal, seconds=0.02, heading=heading)
         assert answer.path, answer.reason
         found = curve(answer)
         path = segments(found)
@@ -134,8 +134,8 @@ def test_ways_through_clutter_are_drivable_and_collide_nowhere(seed: int) -> Non
 
 def test_with_a_seed_and_a_bound_of_iterations_an_answer_is_the_same_again() -> None:
     place = world((WALL,), seed=7, iterations=200)
-    first = ask(Asked("rrt-smoothed", place), START, GOAL, seconds=0.0, patience=0.0)
-    again = Asked("rrt-smoothed", place)
+    first = ask(CarJudge("rrt-smoothed", place), START, GOAL, seconds=0.0, patience=0.0)
+    again = CarJudge("rrt-smoothed", place)
     assert first.path and first == ask(again, START, GOAL, seconds=1.0) == ask(again, START, GOAL, seconds=5.0)
 
 
@@ -156,20 +156,20 @@ def test_with_a_seed_and_a_bound_of_iterations_an_answer_is_the_same_again() -> 
 def test_what_is_infeasible_has_no_way(
     name: str, start: Triple, goal: Point, bodies: tuple[Obstacle, ...], said: str
 ) -> None:
-    answer = ask(Asked(name, world(bodies)), start, goal)
+    answer = ask(CarJudge(name, world(bodies)), start, goal)
     assert answer.path == () and said in answer.reason
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_behind_a_wall_without_a_gap_there_is_no_way(name: str) -> None:
-    answer = ask(Asked(name, world((ACROSS,))), START, GOAL, seconds=0.05, patience=0.05)
+    answer = ask(CarJudge(name, world((ACROSS,))), START, GOAL, seconds=0.05, patience=0.05)
     assert answer.path == () and answer.reason == ""
 
 
 def test_a_tight_place_may_be_left_but_no_nearer_to_what_is_there() -> None:
     start = (3.35 - (CAR.length - CAR.overhang), 4.0, 0.0)  # its nose 5 cm from the wall
     place = world((WALL,))
-    answer = ask(Asked("rrt-smoothed", place), start, Point(1.0, 2.0, 0.0))
+    answer = ask(CarJudge("rrt-smoothed", place), start, Point(1.0, 2.0, 0.0))
     assert answer.path
     nearest = min(gap(outline(place, *pose), WALL) for pose in poses(segments(curve(answer))))
     assert 0.9 * 0.05 < nearest <= 0.05 + 1e-9
@@ -178,10 +178,10 @@ def test_a_tight_place_may_be_left_but_no_nearer_to_what_is_there() -> None:
 def test_what_hangs_above_or_lies_below_is_not_in_the_way() -> None:
     above = Block(Point(3.0, -1.0, CAR.height + 0.01), Point(4.0, 9.0, 2.0))
     ball = Sphere(Point(3.5, 4.0, 1.0), 0.7)
-    assert len(curve(ask(Asked("rrt", world((above, ball))), START, GOAL)).pieces) == 1
+    assert len(curve(ask(CarJudge("rrt", world((above, ball))), START, GOAL)).pieces) == 1
     low = Sphere(Point(3.5, 4.0, 0.8), 0.7)  # 0.43 m wide at the car's height
     place = world((low,))
-    path = segments(curve(ask(Asked("rrt", place), START, GOAL)))
+    path = segments(curve(ask(CarJudge("rrt", place), START, GOAL)))
     section = Cylinder(Point(3.5, 4.0, 0.0), math.sqrt(0.49 - 0.55**2), 1.0)
     assert not collisions(world((section,)), path)
 
@@ -189,7 +189,7 @@ def test_what_hangs_above_or_lies_below_is_not_in_the_way() -> None:
 def test_a_mesh_is_driven_around() -> None:
     corners = (Point(3.5, -1.0, 0.0), Point(3.5, 5.5, 0.0), Point(3.5, 5.5, 1.0), Point(3.5, -1.0, 1.0))
     place = world((Mesh(corners, ((0, 1, 2), (0, 2, 3))),), seed=1)
-    path = segments(curve(ask(Asked("rrt", place), START, GOAL)))
+    path = segments(curve(ask(CarJudge("rrt", place), START, GOAL)))
     thin = Block(Point(3.5, -1.0, 0.0), Point(3.5 + 1e-9, 5.5, 1.0))
     assert not collisions(world((thin,)), path)
 
@@ -197,13 +197,13 @@ def test_a_mesh_is_driven_around() -> None:
 def test_cells_points_and_others_ways_are_driven_around() -> None:
     cells = tuple(Grid(14, j, 0.25) for j in range(22))
     place = world(seed=5)
-    path = segments(curve(ask(Asked("rrt", place), START, GOAL, Scene(grids=cells))))
+    path = segments(curve(ask(CarJudge("rrt", place), START, GOAL, Scene(grids=cells))))
     assert not collisions(world((Block(Point(3.5, 0.0, 0.0), Point(3.75, 5.5, 1.0)),)), path)
     posts = tuple(Point(3.5, 0.2 * j, 0.0) for j in range(28))
-    path = segments(curve(ask(Asked("rrt", place), START, GOAL, Scene(points=posts))))
+    path = segments(curve(ask(CarJudge("rrt", place), START, GOAL, Scene(points=posts))))
     assert not collisions(world(tuple(Cylinder(p, 0.0, 1.0) for p in posts)), path)
     theirs = (Point(3.5, 0.0, 0.0), Point(3.5, 5.0, 0.0))
-    path = segments(curve(ask(Asked("rrt", place), START, GOAL, Scene(others=(theirs,)))))
+    path = segments(curve(ask(CarJudge("rrt", place), START, GOAL, Scene(others=(theirs,)))))
     reach = math.hypot(CAR.length - CAR.overhang, CAR.width / 2)
     for at in (0.0, 2.5, 5.0):
         assert not collisions(world((Cylinder(Point(3.5, at, 0.0), reach, 1.0),)), path)
@@ -212,17 +212,17 @@ def test_cells_points_and_others_ways_are_driven_around() -> None:
 @pytest.mark.parametrize(("height", "around"), [(0.0, True), (0.8, True), (1.0, False)])
 def test_ways_that_lead_over_the_car_are_not_in_its_way(height: float, around: bool) -> None:
     theirs = (Point(3.5, 0.0, height), Point(3.5, 5.0, height))
-    path = segments(curve(ask(Asked("rrt", world(seed=5)), START, GOAL, Scene(others=(theirs,)))))
+    path = segments(curve(ask(CarJudge("rrt", world(seed=5)), START, GOAL, Scene(others=(theirs,)))))
     assert bool(collisions(world((Cylinder(Point(3.5, 4.0, 0.0), 0.1, 1.0),)), path)) is not around
 
 
 def test_what_a_program_names_where_the_car_is_was_seen_wrongly() -> None:
     seen = Scene(points=(Point(1.1, 4.0, 0.0),), others=((Point(1.0, 4.0, 0.0), Point(1.0, 6.0, 0.0)),))
-    assert ask(Asked("rrt", world()), START, GOAL, seen).path
+    assert ask(CarJudge("rrt", world()), START, GOAL, seen).path
 
 
 def test_the_cheaper_way_is_taken_and_a_rolling_car_keeps_its_gear_when_it_can() -> None:
-    planner = Asked("rrt-smoothed", world())
+    planner = CarJudge("rrt-smoothed", world())
     ways = {(0.3, 3.0): [1], (-0.6, 0.0): [-1], (3.0, 0.1): [1]}
     for (ahead, aside), gears in ways.items():
         found = segments(curve(ask(planner, (3.5, 4.0, 0.0), Point(3.5 + ahead, 4.0 + aside, 0.0))))
@@ -235,14 +235,16 @@ def test_the_cheaper_way_is_taken_and_a_rolling_car_keeps_its_gear_when_it_can()
 
 
 def test_the_arena_is_kept_and_who_noise_put_outside_comes_back() -> None:
-    planner = Asked("rrt-smoothed", world(seed=2))
+    planner = CarJudge("rrt-smoothed", world(seed=2))
     corner = (6.9, 7.9, math.pi / 4)
     path = segments(curve(ask(planner, corner, Point(6.0, 7.95, 0.0))))
     assert not collisions(world(), path)
     found = curve(ask(planner, (7.02, 4.0, 0.0), Point(5.0, 4.0, 0.0)))
     assert found.pieces[0][1] < 0 and max(found.at(s / 10)[0] for s in range(20)) <= 7.02
     lane = Box(Point(0.0, 3.95, 0.0), Point(7.0, 4.05, 1.0))
-    assert ask(Asked("rrt", world(arena=lane)), (1.0, 4.0, math.pi / 2), GOAL, seconds=0.05, patience=0.05).path == ()
+    assert (
+        ask(CarJudge("rrt", world(arena=lane)), (1.0, 4.0, math.pi / 2), GOAL, seconds=0.05, patience=0.05).path == ()
+    )
     assert world().arena == ROOM
 
 
@@ -295,6 +297,6 @@ def test_a_map_of_many_cells_is_planned_in_soon() -> None:
     )
     place = world(seed=1)
     began = time.process_time()
-    answer = ask(Asked("rrt", place), START, GOAL, Scene(grids=cells))
+    answer = ask(CarJudge("rrt", place), START, GOAL, Scene(grids=cells))
     assert time.process_time() - began < 1.0
     assert not collisions(world((Block(Point(3.2, 0.0, 0.0), Point(3.8, 5.5, 1.0)),)), segments(curve(answer)))

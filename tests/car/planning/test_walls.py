@@ -12,7 +12,7 @@ from benchmarks.fixtures.car_checker import collisions, infeasible
 from benchmarks.fixtures.car_rooms import room, solvable
 from benchmarks.fixtures.car_scenes import ask, curve, world
 from koordgen.runtime.values.points import Point
-from targets.car.planning.ask import Asked
+from targets.car.planning.ask import CarJudge
 from targets.car.planning.field import FAR, Cells, Field
 from targets.car.planning.overlap import ShapeTable
 from targets.car.planning.planner import Area, price, segments
@@ -26,7 +26,7 @@ QUERIES = sorted(solvable())
 def answer(seed: int, number: int, units: int, name: str = "rrt-smoothed") -> Answer:
     here = room(seed)
     query = here.queries[number]
-    return ask(Asked(name, world(here.walls, seed=1, iterations=units)), query.start, Point(*query.goal, 0.0))
+    return ask(CarJudge(name, world(here.walls, seed=1, iterations=units)), query.start, Point(*query.goal, 0.0))
 
 
 def check(seed: int, number: int, found: Answer) -> None:

@@ -96,9 +96,9 @@ def test_a_mission_over_the_real_links(bench: Bench) -> None:
     bench.car.command({"Motion.target": Point(-3.0, 0.0, 0.0)}, bench.now)
     bench.run(4.0)
     assert abs(bench.body.truth.speed) > 0.3
-    bench.car.rest(bench.now)
+    bench.car.stop(bench.now)
     bench.run(1.5)
-    assert bench.car.rested and abs(bench.body.truth.speed) < 0.01
+    assert bench.car.stopped and abs(bench.body.truth.speed) < 0.01
 
 
 def test_an_agent_that_dies_leaves_a_car_that_stops(bench: Bench) -> None:
@@ -138,7 +138,7 @@ def test_unplugged_while_driving_and_plugged_in_again_it_goes_on(bench: Bench, t
     name.symlink_to(str(bench.device.overrides["drive"]).removeprefix("vesc:"))
     bench.run(7.0)
     assert bench.car.sense(bench.now).values["Motion.reached"] is True
-    lost, back = bench.car.news()
+    lost, back = bench.car.log_lines()
     assert f"{name} is gone" in lost and back == f"the motor controller at {name} is there again"
 
 
@@ -226,7 +226,7 @@ def test_a_device_that_takes_nothing_blocks_nobody() -> None:
 
 def test_the_planner_answers_curves_from_its_own_process() -> None:
     place = scenes.world((Block(Point(3.4, 0.0, 0.0), Point(3.6, 5.5, 1.0)),))
-    wish = msgspec.msgpack.encode(Wish(0.0, patience=0.5))
+    wish = msgspec.msgpack.encode(Wish(0.0, time_limit=0.5))
     beside = Beside("rrt-smoothed", place, 0.5, JUDGE)
     try:
         made(beside, time.sleep)

@@ -12,8 +12,8 @@ from targets.car.drive import vesc
 from tests.car.platform.world import World, standing
 
 
-def rested(world: World) -> bool:
-    return world.car.rested
+def stopped(world: World) -> bool:
+    return world.car.stopped
 
 
 def test_it_becomes_ready_and_stands_before_any_command() -> None:
@@ -56,15 +56,15 @@ def test_rest_brakes_and_keeps_braking_whatever_comes() -> None:
     world = World().begin()
     world.go(5.0, 0.0)
     world.run(2.0)
-    world.car.rest(world.now)
-    assert not rested(world)
+    world.car.stop(world.now)
+    assert not stopped(world)
     world.run(0.1)
-    assert not rested(world) and world.car.progress == "braking to rest"
+    assert not stopped(world) and world.car.progress == "braking to rest"
     world.car.hold(False, world.now)
     world.go(5.0, 0.0)
     world.run(2.0)
-    world.car.rest(world.now)
-    assert rested(world) and standing(world)
+    world.car.stop(world.now)
+    assert stopped(world) and standing(world)
     at = world.body.truth
     sent: list[vesc.Message] = []
     for _ in range(20):

@@ -9,7 +9,7 @@ import pytest
 
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Unready
-from koordgen.runtime.vehicle.scans import PATIENCE, Sweep, encode, packed
+from koordgen.runtime.vehicle.scans import FIRST_SAMPLE_TIMEOUT, Sweep, encode, packed
 from tests.car.platform.world import KEY, World
 
 
@@ -79,10 +79,10 @@ def test_it_is_ready_when_the_first_scan_has_come(world: World, lidar: Lidar) ->
 def test_a_lidar_that_never_speaks_ends_the_wait_and_lets_it_come_to_rest(world: World) -> None:
     world.car.start(world.now)
     with pytest.raises(Unready, match="waiting for scans"):
-        world.run(PATIENCE + 1.0)
-    world.car.rest(world.now)
+        world.run(FIRST_SAMPLE_TIMEOUT + 1.0)
+    world.car.stop(world.now)
     world.run(1.0)
-    assert world.car.rested
+    assert world.car.stopped
 
 
 def test_diagnosis_tells_of_scans(world: World, lidar: Lidar) -> None:

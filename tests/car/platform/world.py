@@ -14,10 +14,10 @@ from koordgen.runtime.vehicle.datagrams import DatagramLink
 from koordgen.runtime.vehicle.feed import Sample, encode
 from koordgen.runtime.vehicle.platform import Unready
 from koordgen.runtime.vehicle.scans import listen_for_scans
-from targets.car.base.bicycle import State, advance
+from targets.car.base.bicycle import BicycleState, advance
 from targets.car.base.settings import decode
 from targets.car.drive.links import RealLinks
-from targets.car.drive.rover import Route
+from targets.car.drive.rover import ConsoleTransport
 from targets.car.drive.watched import Unwatched
 from targets.car.platform.platform import Car
 from targets.planning.process import Inside
@@ -37,7 +37,7 @@ class TestBody:
 
     def __init__(self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, lag: float = 0.1) -> None:
         self.wheelbase = 0.33
-        self.truth = State(x, y, yaw)
+        self.truth = BicycleState(x, y, yaw)
         self.asked = (0.0, 0.0)
         self._lag = lag
 
@@ -81,7 +81,7 @@ class Wire:
         if self.unplugged:
             raise Unready("/dev/ttyACM0 is gone", "check its cable")
 
-    def mavlink(self, url: str) -> Route:
+    def mavlink(self, url: str) -> ConsoleTransport:
         raise Unready("these links have no autopilot")
 
     def position(self, setting: str) -> Wire:

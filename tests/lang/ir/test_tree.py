@@ -90,7 +90,7 @@ LEAVES = {
     *(expr.Const, expr.Pid, expr.NSys, expr.Ids, expr.ParamRead, expr.LocalRead, expr.TempRead, expr.SlotsRead),
     *(expr.SharedRead, expr.PortRead),
     *(stmt.LocalPlace, stmt.OwnSlot, stmt.SharedPlace, stmt.PortPlace, stmt.TempPlace, stmt.Break, stmt.Continue),
-    *(stmt.Stop, decl.Parameter, decl.ExternType, decl.Port, decl.Meaning, decl.Import),
+    *(stmt.Stop, decl.Parameter, decl.ExternTypeDef, decl.Port, decl.Meaning, decl.Import),
     *TYPES,
 }
 

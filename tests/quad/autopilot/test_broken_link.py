@@ -22,8 +22,8 @@ def test_silence_is_reported_and_ends_the_waiting() -> None:
     with pytest.raises(Unready) as error:
         rig.run(20.0)
     assert "no autopilot answers on udpin:127.0.0.1:14550" in error.value.message and error.value.hint
-    rig.quad.rest(rig.now)
-    assert rig.quad.rested
+    rig.quad.stop(rig.now)
+    assert rig.quad.stopped
 
 
 def test_a_link_lost_in_flight_shows_and_heals() -> None:
@@ -141,11 +141,11 @@ def test_an_agent_that_rests_over_a_broken_link_lands_when_it_heals() -> None:
     rig.autopilot.copter.params["FS_GCS_ENABLE"] = 0.0
     rig.fly()
     rig.wire.cut = True
-    rig.quad.rest(rig.now)
+    rig.quad.stop(rig.now)
     rig.run(5.0)
-    assert not rig.quad.rested
+    assert not rig.quad.stopped
     rig.wire.cut = False
-    assert rig.run(10.0, lambda: rig.quad.rested)
+    assert rig.run(10.0, lambda: rig.quad.stopped)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -170,5 +170,5 @@ def test_garbage_and_loss_do_no_harm(seed: int) -> None:
     rig.fly()
     rig.go(-3.0, 2.0)
     assert rig.run(15.0, rig.reached)
-    rig.quad.rest(rig.now)
-    assert rig.run(15.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(15.0, lambda: rig.quad.stopped)

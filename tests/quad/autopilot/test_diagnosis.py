@@ -14,7 +14,7 @@ from targets.mavlink.framing import Message
 from targets.mavlink.link import Link
 from targets.mavlink.transport import Transport
 from targets.quad.autopilot.check import SILENCE, Heard
-from targets.quad.autopilot.diagnosis import findings
+from targets.quad.autopilot.diagnosis import checks
 from targets.quad.autopilot.telemetry import Telemetry
 from targets.quad.platform.platform import Quad
 
@@ -46,7 +46,9 @@ def test_all_is_well_and_nothing_moves() -> None:
     assert not commands(rig, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
 
 
-@pytest.mark.parametrize(("up", "advice"), [(5.0, "still starting: ask again 30 s after boot"), (40.0, "baud rate")])
+@pytest.mark.parametrize(
+    ("up", "advice"), [(5.0, "still starting: check again 30 s after its boot"), (40.0, "baud rate")]
+)
 def test_streams_that_are_slow_while_the_autopilot_starts_are_not_the_links_fault(up: float, advice: str) -> None:
     rig = Rig()
     rig.pass_time(up)
@@ -65,7 +67,7 @@ def test_a_build_that_may_spin_and_the_parameter_that_helps() -> None:
     found = diagnosed(rig)
     assert "ArduPilot quadrotor 4.7.0-dev" in found["firmware"].found
     spins = found["GUID_OPTIONS"]
-    assert (spins.state, spins.found) == ("warn", "0") and "spin in flight without a receiver" in spins.why
+    assert (spins.state, spins.found) == ("warn", "0") and "spin in flight without a radio receiver" in spins.why
     assert spins.wanted == "4, or any number with that bit set"
     assert rig.autopilot is not None
     rig.autopilot.copter.params["GUID_OPTIONS"] = 6.0
@@ -168,9 +170,9 @@ def judged(*messages: Message, wall: float = 1.8e9) -> dict[str, Finding]:
     for message in (alive, ekf(), *messages, place):
         wire.inject(message.pack(mavlink.MAVLink(None, 1, 1)))
         for received in link.receive(1000.0):
-            heard.take(received, 1000.0)
+            heard.record(received, 1000.0)
     heard.wall, heard.began, heard.ended = wall, 995.0, 1000.0
-    return {f.name: f for f in findings("udpin:1", heard, frame, FENCE, 1.5)}
+    return {f.name: f for f in checks("udpin:1", heard, frame, FENCE, 1.5)}
 
 
 def ekf(flags: int = 0x33F, variance: float = 0.1) -> Message:
@@ -211,9 +213,9 @@ def test_the_battery(millivolts: int, percent: int, state: str, told: str) -> No
 @pytest.mark.parametrize(
     ("unix", "state", "told"),
     [
-        (0, "ok", "up for 90 s, it does not know the time of day"),
-        (1_800_000_000_500_000, "ok", "up for 90 s, its clock is +0.5 s from ours"),
-        (1_799_999_000_000_000, "warn", "up for 90 s, its clock is -1000.0 s from ours"),
+        (0, "ok", "up for 90 s, the autopilot does not know the time of day"),
+        (1_800_000_000_500_000, "ok", "up for 90 s, the autopilot's clock is +0.5 s from this computer's"),
+        (1_799_999_000_000_000, "warn", "up for 90 s, the autopilot's clock is -1000.0 s from this computer's"),
     ],
 )
 def test_the_autopilots_clock(unix: int, state: str, told: str) -> None:
@@ -227,7 +229,7 @@ def test_the_origins(degrees: float, state: str) -> None:
     place = round((latitude + degrees) * 1e7), round(longitude * 1e7), round(altitude * 1e3) + 2000
     found = judged(mavlink.MAVLink_gps_global_origin_message(*place))["origin"]
     assert found.state == state and "m from the fleet's" in found.found
-    assert degrees or found.found == "the autopilot's is 0.0 m from the fleet's, +2.0 m in altitude"
+    assert degrees or found.found == "the autopilot's origin is 0.0 m from the fleet's, +2.0 m in altitude"
 
 
 def said(text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> Message:
@@ -236,11 +238,11 @@ def said(text: str, severity: int = mavlink.MAV_SEVERITY_CRITICAL) -> Message:
 
 def test_what_the_autopilot_says() -> None:
     refusal = said("PreArm: Compass not calibrated")
-    warning, news = said("Bad vision", mavlink.MAV_SEVERITY_WARNING), said("Hello", mavlink.MAV_SEVERITY_INFO)
-    found = judged(refusal, warning, refusal, news)
+    warning, log_lines = said("Bad vision", mavlink.MAV_SEVERITY_WARNING), said("Hello", mavlink.MAV_SEVERITY_INFO)
+    found = judged(refusal, warning, refusal, log_lines)
     assert (found["checks"].state, found["checks"].found) == ("fail", "PreArm: Compass not calibrated")
     assert (found["says"].state, found["says"].found) == ("warn", "Bad vision")
-    assert not {"checks", "says", "sensors"} & set(judged(news))
+    assert not {"checks", "says", "sensors"} & set(judged(log_lines))
 
 
 def test_its_health() -> None:
@@ -296,7 +298,7 @@ def test_garbage_on_the_link_is_told() -> None:
 
     quad = Quad(settings(), None, connect=lambda url: rig.wire, clock=lambda: rig.now, sleep=noisy)
     found, *_ = quad.diagnose()
-    assert found.state == "fail" and "bytes came that are no MAVLink" in found.why
+    assert found.state == "fail" and "bytes arrived that are no MAVLink" in found.why
 
 
 def test_arming_checks_that_fail() -> None:

@@ -19,8 +19,8 @@ def test_a_pilot_who_takes_over_is_left_alone() -> None:
     with pytest.raises(Unready, match="LOITER: a pilot or a failsafe"):
         rig.run(3.0)
     rig.wire.up.clear()
-    rig.quad.rest(rig.now)
-    assert rig.run(2.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(2.0, lambda: rig.quad.stopped)
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG) and rig.autopilot.copter.mode == 5
 
 
@@ -31,8 +31,8 @@ def test_a_failsafe_landing_is_waited_for() -> None:
     rig.autopilot.copter.enter(9, rig.now)
     with pytest.raises(Unready, match="LAND: a pilot or a failsafe"):
         rig.run(3.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(15.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(15.0, lambda: rig.quad.stopped)
     assert at(rig).z == 0.0 and not rig.autopilot.copter.armed
 
 
@@ -43,8 +43,8 @@ def test_a_disarming_in_flight_is_the_end() -> None:
     rig.autopilot.copter.disarm(force=True)
     with pytest.raises(Unready, match="disarmed in flight"):
         rig.run(3.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(5.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(5.0, lambda: rig.quad.stopped)
 
 
 def test_a_new_agent_takes_over_in_flight() -> None:
@@ -75,8 +75,8 @@ def test_a_new_agent_that_is_ended_before_it_takes_over_lands_what_nobody_else_f
             rig.watch = lambda rig=rig: rig.wire.inject(heartbeat(system=2))  # type: ignore[misc]
         rig.run(3.0)
         assert not rig.quad.ready
-        rig.quad.rest(rig.now)
-        assert rig.run(20.0, lambda rig=rig: rig.quad.rested)  # type: ignore[misc]
+        rig.quad.stop(rig.now)
+        assert rig.run(20.0, lambda rig=rig: rig.quad.stopped)  # type: ignore[misc]
         assert (at(rig).z > 1.0) == crowded  # it may be another robot's
 
 
@@ -89,8 +89,8 @@ def test_a_new_agent_does_not_grab_a_vehicle_that_a_pilot_flies() -> None:
     rig.quad.start(rig.now)
     with pytest.raises(Unready, match="already flying in LOITER"):
         rig.run(5.0)
-    rig.quad.rest(rig.now)
-    assert rig.quad.rested and rig.autopilot.copter.mode == 5
+    rig.quad.stop(rig.now)
+    assert rig.quad.stopped and rig.autopilot.copter.mode == 5
 
 
 def restart(rig: Rig) -> None:
@@ -111,8 +111,8 @@ def test_an_autopilot_that_restarts_in_its_climb_is_not_started_again() -> None:
         rig.run(10.0)
     with pytest.raises(Unready):
         rig.run(10.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(5.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(5.0, lambda: rig.quad.stopped)
     assert rig.autopilot is not None and not rig.autopilot.copter.armed
 
 

@@ -32,7 +32,7 @@ class Bench:
         packer = mavlink.MAVLink(None, 7, 1)
         for message in messages:
             (received,) = Framer().datagram(message.pack(packer))
-            self.origin.take(received)
+            self.origin.update(received)
 
     def run(self, seconds: float, height: float = 0.0) -> list[Message]:
         """Return what is sent meanwhile, for a robot at that height (m)."""

@@ -15,9 +15,9 @@ from benchmarks.fixtures.quad_rig import FENCE, ORIGIN, Rig, at, sent, settings
 from koordgen.runtime.config.settings import BadSettings, Safety
 from koordgen.runtime.values.points import Point, Pose, distance
 from koordgen.runtime.vehicle.platform import Finding, Unready
-from koordgen.runtime.vehicle.safety import Guard
-from targets.quad.autopilot.positioning import JUMPED, PATIENCE, STALE
-from targets.quad.autopilot.track import Track
+from koordgen.runtime.vehicle.safety import SafetyGuard
+from targets.quad.autopilot.positioning import FIRST_SAMPLE_TIMEOUT, JUMPED, STALE
+from targets.quad.autopilot.track import PositionTrack
 from targets.quad.platform.platform import Quad
 from tests.quad.platform.fed import KEY, WALL, Cable, FedRig, sample
 
@@ -41,8 +41,8 @@ def test_it_takes_off_and_reaches_a_target(mode: str) -> None:
     assert rig.run(20.0, rig.reached)
     assert sum(errors) / len(errors) < 0.05
     assert distance(at(rig), Point(-2.0, 1.0, 1.5)) < 0.2
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested) and rig.body.position[2] == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped) and rig.body.position[2] == 0.0
 
 
 @pytest.mark.parametrize("ground", [0.3, -0.25])
@@ -145,7 +145,7 @@ def test_silence_in_flight_holds_within_half_a_second_and_then_lands(mode: str) 
     rig.run(2.0)
     assert rig.body.velocity[0] < -0.5 and not rig.quad.progress.count("no fresh position")
     rig.station, silent = None, rig.now
-    guard = Guard(Safety(), FENCE)
+    guard = SafetyGuard(Safety(), FENCE)
     held: list[float] = []
 
     def watch() -> None:
@@ -162,8 +162,8 @@ def test_silence_in_flight_holds_within_half_a_second_and_then_lands(mode: str) 
         rig.run(3.0)
     assert told.value.hint and rig.now - silent == pytest.approx(Safety().position_lost, abs=0.1)
     assert not sent(rig, NUMBERS[mode])[-1:] or rig.now - silent > STALE
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested) and rig.body.position[2] == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped) and rig.body.position[2] == 0.0
 
 
 def test_nothing_old_is_passed_on() -> None:
@@ -185,7 +185,7 @@ def test_a_feed_that_comes_back_goes_on() -> None:
     assert rig.body.velocity[0] > -0.3, "it holds"
     rig.station = station
     assert rig.run(20.0, rig.reached)
-    assert Guard(Safety(), FENCE).judge(rig.quad.sense(rig.now), rig.now).action == "go"
+    assert SafetyGuard(Safety(), FENCE).judge(rig.quad.sense(rig.now), rig.now).action == "go"
 
 
 @MODES
@@ -202,8 +202,8 @@ def test_a_jump_in_flight_is_refused_and_lands(mode: str, jump: Point) -> None:
     assert told.value.hint and JUMPED <= rig.now - jumped < JUMPED + 0.2
     assert len(sent(rig, NUMBERS[mode])) - before <= 2, "none of them was passed on"
     assert distance(at(rig), place) < 0.2 and "the position source jumped" in rig.quad.progress
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped)
 
 
 def test_single_jumps_are_refused_and_do_no_harm() -> None:
@@ -297,10 +297,10 @@ def test_no_take_off_without_a_feed_and_after_a_minute_it_is_given_up() -> None:
     assert not rig.body._on and "waiting for the position feed on udp:0.0.0.0:47300" in rig.quad.progress
     rig.cable.waiting.append(sample(1, 0.0, Pose(), key=bytes(32)))
     with pytest.raises(Unready, match=r"no position has arrived on .* dropped: 1 not authentic"):
-        rig.run(PATIENCE)
-    rig.quad.rest(rig.now)
+        rig.run(FIRST_SAMPLE_TIMEOUT)
+    rig.quad.stop(rig.now)
     rig.run(1.0)
-    assert rig.quad.rested
+    assert rig.quad.stopped
 
 
 def test_no_take_off_where_estimate_and_source_differ() -> None:
@@ -337,13 +337,13 @@ def test_a_feed_that_ends_while_climbing_lands_at_once(mode: str) -> None:
 def test_landing_goes_on_with_the_feed_and_without() -> None:
     rig = FedRig("vision")
     rig.fly()
-    rig.quad.rest(rig.now)
+    rig.quad.stop(rig.now)
     rig.run(0.5)
     rig.wire.up.clear()
     rig.run(0.5)
     assert len(sent(rig, NUMBERS["vision"])) >= 8
     rig.station = None
-    assert rig.run(20.0, lambda: rig.quad.rested)
+    assert rig.run(20.0, lambda: rig.quad.stopped)
 
 
 def test_the_doctor_tells_of_the_feed_and_passes_it_on() -> None:
@@ -367,7 +367,7 @@ def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatc
 
     seldom, count = FedRig("vision"), itertools.count()
     seldom.alter = lambda datagram: datagram if next(count) % 5 == 0 else None
-    assert (findings(seldom)["feed"].state, findings(seldom)["feed"].wanted) == ("warn", "15 Hz or more")
+    assert (findings(seldom)["feed"].state, findings(seldom)["feed"].wanted) == ("warn", "a rate of 15 Hz or more")
     silenced = FedRig("vision")
     silenced.alter = lambda datagram: datagram if silenced.now < 1003.0 else None
     assert findings(silenced)["feed"].wanted == "not older than 300 ms"
@@ -382,13 +382,13 @@ def test_the_doctor_tells_of_a_feed_that_is_wrong(monkeypatch: pytest.MonkeyPatc
     jumpy.quad = jumpy.agent(positioning="vision")
     assert "samples jumped" in findings(jumpy)["feed"].found
     apart = FedRig("gps_input")
-    monkeypatch.setattr(Track, "at", lambda track, time: Point(1.6, -2.0, 0.0))
+    monkeypatch.setattr(PositionTrack, "at", lambda track, time: Point(1.6, -2.0, 0.0))
     found = findings(apart)["followed"]
-    assert found.state == "fail" and re.match(r"0\.\d+ m from the position source", found.found)
+    assert found.state == "fail" and re.match(r"the estimate is 0\.\d+ m from the position source", found.found)
 
 
 def test_the_doctor_compares_the_heights_of_feed_and_autopilot(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Track, "at", lambda track, time: Point(1.0, -2.0, 0.15))
+    monkeypatch.setattr(PositionTrack, "at", lambda track, time: Point(1.0, -2.0, 0.15))
     found = {f.name: f for f in FedRig("gps_input", noise=0.0).quad.diagnose()}["followed"]
     assert found.state == "fail" and "the autopilot's height is 0.15 m below the position source's" in found.found
 

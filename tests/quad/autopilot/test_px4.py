@@ -52,8 +52,8 @@ def test_a_whole_life() -> None:
     assert rig.quad.ready
     gaps = [b - a for a, b in pairwise(times)]
     assert max(gaps) < 0.3, "OFFBOARD needs setpoints faster than 2 Hz, from before the switch on"
-    rig.quad.rest(rig.now)
-    assert rig.run(15.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(15.0, lambda: rig.quad.stopped)
     assert set(modes(rig)) == {OFFBOARD, LAND} and not copter.armed and at(rig).z == 0.0
     assert not commands(rig, mavlink.MAV_CMD_NAV_TAKEOFF)
 
@@ -79,8 +79,8 @@ def test_it_lands_by_itself_soon_after_the_last_setpoint() -> None:
     rig.quad.start(rig.now)
     rig.run(1.5)
     assert "already flying in LAND" in rig.quad.progress
-    rig.quad.rest(rig.now)
-    assert rig.run(1.0, lambda: rig.quad.rested) and not modes(rig)
+    rig.quad.stop(rig.now)
+    assert rig.run(1.0, lambda: rig.quad.stopped) and not modes(rig)
 
 
 def test_a_pilot_keeps_the_mode() -> None:
@@ -89,8 +89,8 @@ def test_a_pilot_keeps_the_mode() -> None:
     copter.enter(HOLD, rig.now)
     with pytest.raises(Unready, match="HOLD: a pilot or a failsafe"):
         rig.run(3.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(2.0, lambda: rig.quad.rested) and copter.mode == HOLD
+    rig.quad.stop(rig.now)
+    assert rig.run(2.0, lambda: rig.quad.stopped) and copter.mode == HOLD
 
 
 def test_a_cut_link_ends_in_a_landing() -> None:
@@ -99,9 +99,9 @@ def test_a_cut_link_ends_in_a_landing() -> None:
     rig.wire.cut = True
     rig.run(2.5)
     assert copter.mode == LAND and not rig.quad.ready
-    rig.quad.rest(rig.now)  # what the agent does after 2 s without a position
+    rig.quad.stop(rig.now)  # what the agent does after 2 s without a position
     rig.wire.cut = False
-    assert rig.run(15.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+    assert rig.run(15.0, lambda: rig.quad.stopped) and at(rig).z == 0.0
 
 
 def test_no_take_off_with_one_that_would_not_land_when_the_agent_dies() -> None:
@@ -109,7 +109,7 @@ def test_no_take_off_with_one_that_would_not_land_when_the_agent_dies() -> None:
     copter.params["COM_OBL_RC_ACT"] = 0.0
     rig.quad.start(rig.now)
     rig.run(10.0)
-    said = "not taking off: COM_OBL_RC_ACT is 0, wanted 4: else the vehicle does not land when the agent dies (set"
+    said = "not taking off: COM_OBL_RC_ACT is 0, wanted 4: else the vehicle does not land when the agent dies (correct"
     assert rig.quad.progress.startswith(said)
     assert not sent(rig, SETPOINT)
     copter.params["COM_OBL_RC_ACT"] = 4.0
@@ -136,6 +136,6 @@ def test_it_flies_by_vision_and_takes_no_fixes() -> None:
     assert sent(rig, mavlink.MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE)
     rig = FedRig("gps_input", harness={"firmware": "px4"})
     rig.quad.start(rig.now)
-    with pytest.raises(Unready, match="PX4 takes no positioning 'gps_input'") as told:
+    with pytest.raises(Unready, match="PX4 does not support positioning 'gps_input'") as told:
         rig.run(5.0)
     assert "vision" in told.value.hint

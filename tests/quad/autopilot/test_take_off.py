@@ -78,8 +78,8 @@ def test_what_is_no_copter_of_a_known_firmware_is_refused_and_left_alone(autopil
     rig.wire.inject(heartbeat(autopilot=autopilot, kind=kind))
     with pytest.raises(Unready, match=name):
         rig.run(1.0)
-    rig.quad.rest(rig.now)
-    assert rig.quad.rested
+    rig.quad.stop(rig.now)
+    assert rig.quad.stopped
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
 
 
@@ -95,9 +95,9 @@ def test_a_person_who_disarms_before_take_off_is_not_overruled() -> None:
     with pytest.raises(Unready, match="disarmed before take-off"):
         rig.run(2.0)
     rig.wire.meddle = lambda data, down: data
-    rig.quad.rest(rig.now)
+    rig.quad.stop(rig.now)
     rig.watch = lambda: None if not copter.armed else pytest.fail("armed again")
-    assert rig.run(5.0, lambda: rig.quad.rested)
+    assert rig.run(5.0, lambda: rig.quad.stopped)
 
 
 def test_a_pilot_who_takes_over_before_take_off_is_left_alone() -> None:
@@ -112,8 +112,8 @@ def test_a_pilot_who_takes_over_before_take_off_is_left_alone() -> None:
     rig.wire.meddle = lambda data, down: data
     with pytest.raises(Unready, match="STABILIZE: a pilot or a failsafe"):
         rig.run(2.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(2.0, lambda: rig.quad.rested) and copter.mode == 0 and at(rig).z < 0.01
+    rig.quad.stop(rig.now)
+    assert rig.run(2.0, lambda: rig.quad.stopped) and copter.mode == 0 and at(rig).z < 0.01
 
 
 def test_a_climb_without_a_position_ends_in_a_landing() -> None:
@@ -123,8 +123,8 @@ def test_a_climb_without_a_position_ends_in_a_landing() -> None:
     rig.wire.meddle = lambda data, down: None if down and told(data) == 33 else data
     with pytest.raises(Unready, match="no position for"):
         rig.run(6.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped) and at(rig).z == 0.0
 
 
 def test_no_take_off_while_held() -> None:
@@ -149,8 +149,8 @@ def test_rest_before_take_off_disarms() -> None:
     assert rig.autopilot is not None
     copter = rig.autopilot.copter
     assert rig.run(10.0, lambda: copter.armed)
-    rig.quad.rest(rig.now)
-    assert rig.run(12.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(12.0, lambda: rig.quad.stopped)
     assert not copter.armed and at(rig).z < 0.01
 
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from koordgen.runtime.config.settings import Box
 from koordgen.runtime.values.points import Point, distance
 from targets.quad.motion.reference import Reference
-from targets.quad.motion.trajectory import CORNER, ZERO, Limits, norm
+from targets.quad.motion.trajectory import CORNER, ZERO, MotionLimits, norm
 
 BOX = Box(Point(-6, -5, 0), Point(6, 5, 4))
-LIMITS = Limits(1.0, 0.7, 1.0, BOX)
+LIMITS = MotionLimits(1.0, 0.7, 1.0, BOX)
 TICK = 0.05
 inner = st.builds(Point, st.floats(-6, 6), st.floats(-5, 5), st.floats(0, 4))
 
@@ -22,7 +22,7 @@ inner = st.builds(Point, st.floats(-6, 6), st.floats(-5, 5), st.floats(0, 4))
 class Run:
     """A reference whose vehicle is wherever it is to be, unless `vehicle` says otherwise."""
 
-    def __init__(self, at: Point = ZERO, limits: Limits = LIMITS) -> None:
+    def __init__(self, at: Point = ZERO, limits: MotionLimits = LIMITS) -> None:
         self.reference = Reference(limits)
         self.now = 100.0
         self.vehicle: Point | None = None
@@ -40,7 +40,7 @@ class Run:
         return self.track[-1].position
 
 
-def assert_smooth(run: Run, limits: Limits = LIMITS) -> None:
+def assert_smooth(run: Run, limits: MotionLimits = LIMITS) -> None:
     for a, b in zip(run.track, run.track[1:], strict=False):
         assert norm(b.velocity) <= limits.speed + 1e-6 and abs(b.velocity.z) <= limits.climb + 1e-6
         assert distance(a.velocity, b.velocity) <= limits.acceleration * TICK + 1e-6

@@ -198,17 +198,17 @@ def stalled(**safety: Any) -> Flight:
 def test_a_vehicle_that_makes_no_progress_says_so_and_holds() -> None:
     flight = stalled()
     flight.rig.run(NO_PROGRESS + 3.0)
-    (line,) = flight.rig.quad.news()
+    (line,) = flight.rig.quad.log_lines()
     assert line.startswith("no progress for 8 s at (1.") and line.endswith("braking, and looking for another path")
     flight.rig.run(NO_PROGRESS + 3.0)
-    (line,) = flight.rig.quad.news()
+    (line,) = flight.rig.quad.log_lines()
     assert line.endswith("twice: holding until the next command") and line == flight.rig.quad.stall
     flight.rig.run(2 * NO_PROGRESS)
-    assert flight.rig.quad.news() == []
+    assert flight.rig.quad.log_lines() == []
 
 
 def test_a_vehicle_that_makes_no_progress_lands_where_the_fleet_file_says_rest() -> None:
-    flight = stalled(missed_action="rest")
+    flight = stalled(missed_action="stop")
     with pytest.raises(Unready, match="no progress for 8 s"):
         flight.rig.run(3 * NO_PROGRESS)
 
@@ -218,4 +218,4 @@ def test_a_vehicle_that_hovers_at_its_target_is_not_stalled() -> None:
     flight.rig.run(3 * NO_PROGRESS)
     flight.follow(Point(1.0, -1.0, 1.5))
     flight.rig.run(3 * NO_PROGRESS)
-    assert flight.rig.quad.news() == []
+    assert flight.rig.quad.log_lines() == []

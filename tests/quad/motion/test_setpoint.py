@@ -23,7 +23,7 @@ from targets.quad.motion import setpoint as setpoints
 from targets.quad.motion.motion import MARGIN, Motion, room
 from targets.quad.motion.reference import Reference
 from targets.quad.motion.setpoint import Aim, NotSendable, Shaping, aimed, setpoint
-from targets.quad.motion.trajectory import Limits, norm
+from targets.quad.motion.trajectory import MotionLimits, norm
 from targets.quad.motion.yaw import heading
 
 VEHICLE = Vehicle(3, 1, 3, 2)
@@ -122,7 +122,7 @@ def test_nothing_outside_the_fence_is_sent_nor_leads_there(p: Point, v: Point | 
 def test_an_aim_keeps_to_the_room_and_is_worth_the_same(ways: list[tuple[Point, Point]], ticks: int) -> None:
     """What velocity loses to the fence, position gets, as far as there is room."""
     shaping = Shaping()
-    limits = Limits(2.0, 0.7, 1.0, ROOM)
+    limits = MotionLimits(2.0, 0.7, 1.0, ROOM)
     reference = Reference(limits)
     reference.start(ways[0][0], Point(), 0.0)
     now = 0.0
@@ -176,7 +176,7 @@ def test_whatever_the_program_writes_and_wherever_the_vehicle_is(doings: list[Ac
             now += 0.05
             state.position, state.velocity = vehicle, Point(vehicle.y, -vehicle.x, vehicle.z)
             state.followed, state.followed_time = vehicle, -math.inf
-            motion._doubted = None  # whether it is followed is another test's business
+            motion._unconfirmed = None  # whether it is followed is another test's business
             if what == "lose":
                 motion.halt(link, now)
             elif what == "other hands":

@@ -60,8 +60,8 @@ def test_a_quad_that_spins_in_its_take_off_lands_within_a_turn() -> None:
         rig.run(40.0)
     assert max(turns) < 2.2 and at(rig).z < 1.5
     assert "GUID_OPTIONS 4" in refused.value.hint
-    rig.quad.rest(rig.now)
-    assert rig.run(20.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(20.0, lambda: rig.quad.stopped) and at(rig).z == 0.0
 
 
 def test_the_log_names_the_parameter_before_the_take_off() -> None:

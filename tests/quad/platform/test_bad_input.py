@@ -22,9 +22,9 @@ def test_a_link_of_garbage_is_told_from_a_silent_one() -> None:
     rig.watch = lambda: rig.wire.inject(dice.randbytes(60))
     with pytest.raises(Unready, match="no autopilot answers on udpin") as error:
         rig.run(40.0)
-    assert "bytes came that are no MAVLink: is the baud rate right" in error.value.hint
-    rig.quad.rest(rig.now)
-    assert rig.quad.rested and not commands(rig, ARM)
+    assert "bytes arrived that are no MAVLink: check the baud rate" in error.value.hint
+    rig.quad.stop(rig.now)
+    assert rig.quad.stopped and not commands(rig, ARM)
 
 
 def test_another_vehicle_than_the_one_asked_for_is_left_alone() -> None:
@@ -33,7 +33,7 @@ def test_another_vehicle_than_the_one_asked_for_is_left_alone() -> None:
     rig.watch = lambda: rig.wire.inject(heartbeat(system=7))
     with pytest.raises(Unready, match="no autopilot of system 3 answers") as error:
         rig.run(40.0)
-    assert error.value.hint == "system 7 does: is the setting `system` right?"
+    assert error.value.hint == "MAVLink system 7 answers: check the robot's setting `system`"
     assert not sent(rig, mavlink.MAVLINK_MSG_ID_COMMAND_LONG)
     found, *_ = rig.agent(system=3).diagnose()
     assert found.state == "fail" and found.found.startswith("no autopilot of system 3 answers")
@@ -81,8 +81,8 @@ def test_an_autopilot_that_restarts_in_flight_is_lost() -> None:
     with pytest.raises(Unready, match=r"the autopilot (restarted|disarmed) in flight"):
         rig.run(10.0)
     rig.wire.up.clear()
-    rig.quad.rest(rig.now)
-    assert rig.run(5.0, lambda: rig.quad.rested) and at(rig).z == 0.0
+    rig.quad.stop(rig.now)
+    assert rig.run(5.0, lambda: rig.quad.stopped) and at(rig).z == 0.0
     assert not [m for m in commands(rig, ARM) if m.param1 == 1]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.quad_rig import at
-from koordgen.runtime.ops.findings import SURROUNDINGS
+from koordgen.runtime.ops.checks import SURROUNDINGS
 from koordgen.runtime.values.points import Point
 from tests.quad.platform.fed import FedRig
 
@@ -46,18 +46,18 @@ def test_a_silent_feed_holds_skips_and_lands(mode: str) -> None:
     fleet.run(1.2)
     assert any("own position is 0.5 s old" in line for line in robot.lines)
     assert "own position" in (robot.records[-1].skipped or "")
-    fleet.run(2.0, lambda: robot.agent.phase == "resting")
-    assert robot.agent.phase == "resting" and fleet.time.time - silent < 2.2
+    fleet.run(2.0, lambda: robot.agent.phase == "stopping")
+    assert robot.agent.phase == "stopping" and fleet.time.time - silent < 2.2
     fleet.run(30.0, robot.done)
     assert robot.agent.status == SURROUNDINGS and rig.body.position[2] == 0.0 and not rig.body._on
-    assert any("no fresh position has come on udp:0.0.0.0:47300 for 2.0 s" in line for line in robot.lines)
+    assert any("no fresh position has arrived on udp:0.0.0.0:47300 for 2.0 s" in line for line in robot.lines)
 
 
 @MODES
 def test_a_jump_lands(mode: str) -> None:
     rig, fleet, robot = flying(mode)
     rig.markers.moved, place = Point(0.0, 1.0, 0.0), at(rig)
-    fleet.run(2.0, lambda: robot.agent.phase == "resting")
+    fleet.run(2.0, lambda: robot.agent.phase == "stopping")
     assert any("position source jumped" in line for line in robot.lines)
     assert abs(at(rig).y - place.y) < 0.2
     fleet.run(30.0, robot.done)

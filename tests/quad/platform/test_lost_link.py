@@ -69,12 +69,12 @@ def test_a_break_of_a_second_is_a_pause(flown: Flown) -> None:
 def test_after_two_seconds_it_lands_for_good(flown: Flown) -> None:
     flown.rig.wire.cut = True
     flown.run(3.0)
-    assert flown.agent.phase == "resting" and not flown.landing
-    assert flown.said("resting: no own position for 2.", "on udpin:127.0.0.1:14550; was flying")
+    assert flown.agent.phase == "stopping" and not flown.landing
+    assert flown.said("stopping: no own position for 2.", "on udpin:127.0.0.1:14550; was flying")
     flown.rig.wire.cut = False
     assert flown.run(1.5, lambda: flown.landing), "before its own failsafe does"
     flown.run(15.0)
-    assert flown.agent.phase == "rested" and flown.agent.status == SURROUNDINGS and at(flown.rig).z == 0.0
+    assert flown.agent.phase == "stopped" and flown.agent.status == SURROUNDINGS and at(flown.rig).z == 0.0
 
 
 def test_a_link_that_stays_away_is_given_up_when_the_autopilot_has_landed_by_itself(flown: Flown) -> None:

@@ -104,13 +104,13 @@ def test_a_way_into_an_obstacle_is_not_flown_and_told() -> None:
         rig.run(0.1)
         assert not rig.reached(), "it is not there"
     assert distance(at(rig), here) < 0.1
-    (told,) = rig.quad.news()
-    assert told.startswith("not flown, holding instead: the path from (1.0")
+    (told,) = rig.quad.log_lines()
+    assert told.startswith("the commanded path is not flown, holding instead: the path from (1.0")
     rule = "0.35 m are kept: radius 0.2 + tracking_error 0.1 + position_error 0.05"
     assert f"comes within 0.00 m of obstacle 0; {rule}" in told
     rig.quad.command({"Motion.path": (Point(1.0, 3.0, 1.5), Point(4.0, 3.0, 1.5))}, rig.now)
     assert rig.run(20.0, rig.reached) and distance(at(rig), Point(4.0, 3.0, 1.5)) < 0.3
-    assert rig.quad.news() == []
+    assert rig.quad.log_lines() == []
 
 
 PILLAR = Block(Point(-0.2, -0.2, 0.0), Point(0.2, 0.2, 3.8))
@@ -167,7 +167,7 @@ def test_a_quad_in_motion_does_not_turn_into_an_obstacle() -> None:
 
 def test_a_quad_waits_for_its_planner_and_does_not_start_without_one() -> None:
     rig = rig_with(WALL, planner="nowhere:Nobody")
-    with pytest.raises(Unready, match="the planner nowhere:Nobody cannot be made"):
+    with pytest.raises(Unready, match="the planner nowhere:Nobody cannot be created"):
         rig.quad.start(rig.now)
 
 
@@ -178,4 +178,4 @@ def test_the_doctor_makes_the_planner() -> None:
 
     assert finding(planner="rrt-star") == Finding("planner", "ok", "rrt-star is ready")
     bad = finding(planner="nowhere:Nobody")
-    assert bad.state == "fail" and "nowhere:Nobody cannot be made: ModuleNotFoundError" in bad.found
+    assert bad.state == "fail" and "nowhere:Nobody cannot be created: ModuleNotFoundError" in bad.found

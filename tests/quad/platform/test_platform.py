@@ -42,9 +42,9 @@ def test_a_whole_life() -> None:
     assert rig.run(15.0, rig.reached)
     assert distance(at(rig), Point(-4.0, -3.0, 2.5)) < 0.2
 
-    rig.quad.rest(rig.now)
-    rig.quad.rest(rig.now)
-    assert rig.run(15.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    rig.quad.stop(rig.now)
+    assert rig.run(15.0, lambda: rig.quad.stopped)
     assert rig.autopilot is not None and not rig.autopilot.copter.armed and at(rig).z == 0.0
     rig.quad.close()
     rig.quad.close()
@@ -152,8 +152,8 @@ def test_a_landing_that_never_disarms_is_ended_on_the_ground() -> None:
     disarmed_at: list[float] = []
     copter = rig.autopilot.copter
     rig.watch = lambda: None if copter.armed else disarmed_at.append(rig.body.position[2])
-    rig.quad.rest(rig.now)
-    assert rig.run(25.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(25.0, lambda: rig.quad.stopped)
     assert disarmed_at[0] == 0.0 and any("still armed" in said for said in rig.progress)
 
 
@@ -273,10 +273,10 @@ def test_a_vehicle_that_does_not_follow_is_noticed_also_in_motion() -> None:
 def landed(rig: Rig) -> Point:
     """End the run. Where the quad stands then."""
     for _ in range(60):
-        rig.quad.rest(rig.now)
-        if rig.run(0.5, lambda: rig.quad.rested):
+        rig.quad.stop(rig.now)
+        if rig.run(0.5, lambda: rig.quad.stopped):
             break
-    assert rig.quad.rested
+    assert rig.quad.stopped
     return at(rig)
 
 
@@ -292,7 +292,7 @@ def test_a_quad_lands_beside_a_robot_that_is_below_it(below: tuple[Point, ...]) 
     place = landed(rig)
     assert path_distance((Point(place.x, place.y),), tuple(Point(p.x, p.y) for p in below)) > 0.6
     assert distance(place, Point(1.0, -2.0, 0.0)) < 1.2
-    (line,) = rig.quad.news()
+    (line,) = rig.quad.log_lines()
     assert line.startswith("robot 1 may be below: moving to (")
 
 
@@ -300,9 +300,9 @@ def test_a_quad_lands_where_it_is_beside_others_as_high_and_without_a_free_place
     rig = Rig()
     rig.fly()
     rig.quad.others({1: (Point(1.4, -2.0, 1.45),)})
-    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2 and rig.quad.news() == []
+    assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2 and rig.quad.log_lines() == []
     rig = Rig()
     rig.fly()
     rig.quad.others({pid: (Point(-3.0, 0.5 * pid - 5.0), Point(4.0, 0.5 * pid - 5.0)) for pid in range(1, 12)})
     assert distance(landed(rig), Point(1.0, -2.0, 0.0)) < 0.2
-    assert "there is no free place within 1.6 m" in rig.quad.news()[0]
+    assert "there is no free place within 1.6 m" in rig.quad.log_lines()[0]

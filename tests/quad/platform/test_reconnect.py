@@ -163,8 +163,8 @@ def test_a_flight_over_a_link_that_breaks_and_heals(kind: type[Line], tmp_path: 
         line.mend()
         assert rig.run(4.0, lambda: rig.quad.ready), rig.progress
         assert rig.run(12.0, rig.reached)
-        rig.quad.rest(rig.now)
-        assert rig.run(15.0, lambda: rig.quad.rested)
+        rig.quad.stop(rig.now)
+        assert rig.run(15.0, lambda: rig.quad.stopped)
         assert rig.autopilot.copter.mode == 9 and not any("GCS" in said for said in rig.progress)
     finally:
         rig.quad.close()

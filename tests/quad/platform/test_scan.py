@@ -11,7 +11,7 @@ import pytest
 from benchmarks.fixtures.quad_rig import Rig
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Unready
-from koordgen.runtime.vehicle.scans import PATIENCE, Sweep, encode, packed
+from koordgen.runtime.vehicle.scans import FIRST_SAMPLE_TIMEOUT, Sweep, encode, packed
 
 
 @pytest.fixture
@@ -66,9 +66,9 @@ def test_it_is_ready_when_the_first_scan_has_come(rig: Rig, port: int) -> None:
 def test_a_lidar_that_never_speaks_ends_the_wait_and_lets_it_land(rig: Rig) -> None:
     rig.quad.start(rig.now)
     with pytest.raises(Unready, match="waiting for scans"):
-        rig.run(PATIENCE + 1.0)
-    rig.quad.rest(rig.now)
-    assert rig.run(30.0, lambda: rig.quad.rested), rig.progress
+        rig.run(FIRST_SAMPLE_TIMEOUT + 1.0)
+    rig.quad.stop(rig.now)
+    assert rig.run(30.0, lambda: rig.quad.stopped), rig.progress
     assert rig.body.position[2] < 0.1
 
 

@@ -29,7 +29,7 @@ def test_a_flight_over_loopback() -> None:
     try:
         begun = now = stepped = polled = time.monotonic()
         quad.start(now)
-        while now - begun < 20.0 and not quad.rested:
+        while now - begun < 20.0 and not quad.stopped:
             now = begun + PACE * (time.monotonic() - begun)
             while stepped < now:
                 stepped += STEP
@@ -41,9 +41,9 @@ def test_a_flight_over_loopback() -> None:
                 if quad.ready:
                     quad.command({"Motion.target": Point(1.3, -2.0, 0.0)}, now)
                     if quad.sense(now).values["Motion.reached"]:
-                        quad.rest(now)
+                        quad.stop(now)
             time.sleep(0.002)
-        assert quad.rested, quad.progress
+        assert quad.stopped, quad.progress
         assert abs(body.position[0] - 1.3) < 0.2 and body.position[2] == 0.0
     finally:
         quad.close()
@@ -56,7 +56,7 @@ def test_a_port_in_use_is_said() -> None:
         url = f"udpin:127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(Unready, match="in use") as error:
             opened(url)
-    assert "does another program" in error.value.hint
+    assert "another program may listen" in error.value.hint
 
 
 def test_tcp_comes_back_after_a_break() -> None:

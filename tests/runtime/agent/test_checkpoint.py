@@ -141,7 +141,7 @@ def test_a_file_of_others_is_begun_anew(kept: Kept, program: Program, robot: str
 def test_a_file_that_is_not_ours_is_not_touched(kept: Kept) -> None:
     kept.path.parent.mkdir()
     kept.path.write_text("years of work")
-    with pytest.raises(CannotOpen, match="no file of koordgen's"):
+    with pytest.raises(CannotOpen, match="not a file of koordgen"):
         kept.open()
     assert kept.path.read_text() == "years of work"
 
@@ -232,7 +232,7 @@ def test_a_robot_whose_votes_are_damaged_does_not_come_back(kept: Kept, which: s
     kept.path.write_bytes(data)
     assert kept.found() == Loaded()
     (warning,) = kept.warned
-    assert "is damaged" in warning and "cannot rejoin that mission" in warning and str(kept.path) in warning
+    assert "is damaged" in warning and "cannot rejoin its mission" in warning and str(kept.path) in warning
     assert kept.found() == Loaded() and len(kept.warned) == 1, "it is said once"
 
 
@@ -282,7 +282,7 @@ BIG = replace(PROGRAM, locals=(Variable("data", "local", Opaque, Blob(10_000, "D
 
 def test_a_full_disk_is_told_before_anything_moves(full_disk: Path) -> None:
     path = full_disk / "alice.state"
-    with pytest.raises(CannotOpen, match=r"No space left on device; it takes 100 KiB; free disk space"):
+    with pytest.raises(CannotOpen, match=r"No space left on device; the file needs 100 KiB. Free disk space"):
         CheckpointFile.open(path, BIG, "alice", 0, 3, pytest.fail)
     assert not path.exists(), "nor is room taken for nothing"
     store = CheckpointFile.open(path, PROGRAM, "alice", 0, 3, pytest.fail)

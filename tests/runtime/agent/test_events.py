@@ -198,14 +198,14 @@ def test_when_all_have_stopped_they_linger_and_rest() -> None:
     fleet.run(30, until=lambda: all(r.agent.done for r in fleet.robots.values()))
     for robot in fleet.robots.values():
         assert robot.agent.done and robot.agent.status == 0
-        assert robot.platform.rested
+        assert robot.platform.stopped
         assert robot.records[0].effects is not None and robot.records[0].effects.stopped
         assert robot.records[1].skipped == "stopped"
-        rests = [p for p in robot.trace("phase") if p["phase"] == "resting"]
+        rests = [p for p in robot.trace("phase") if p["phase"] == "stopping"]
         assert rests[0]["detail"] == "all robots have stopped"
         lingered = [r for r in robot.trace("round") if r["time"] <= rests[0]["time"]]
         assert 20 <= len(lingered) <= 24
-        assert [p["phase"] for p in robot.trace("phase") if not p["detail"]][-1] == "rested"
+        assert [p["phase"] for p in robot.trace("phase") if not p["detail"]][-1] == "stopped"
 
 
 def test_one_robot_that_stopped_freezes_nobody() -> None:
@@ -268,7 +268,7 @@ def test_a_fault_in_init_ends_this_robot_before_the_mission() -> None:
     fleet = Fleet(program=replace(PROGRAM, init=init), n=1).boot_all()
     fleet.run(10, until=lambda: fleet.robots[0].agent.done)
     assert fleet.robots[0].agent.status == 1
-    assert fleet.robots[0].platform.rested
+    assert fleet.robots[0].platform.stopped
     assert "ValueError: no such thing (in init)" in "".join(fleet.robots[0].lines)
 
 
@@ -336,8 +336,8 @@ def test_a_variable_may_not_begin_with_infinity() -> None:
 def test_an_init_that_writes_more_than_can_be_sent_ends_the_robot_with_a_reason() -> None:
     """A bundle that was built without a fleet file knows the robots, and so the room, only now."""
     fleet = Fleet(n=2).boot_all()
-    fleet.robots[0].agent._link.speech.room = 20
+    fleet.robots[0].agent._link.sender.room = 20
     fleet.run(3.0, until=fleet.robots[0].done)
     alice = fleet.robots[0]
-    assert alice.agent.status == WRONG_PROGRAM and alice.platform.resting is not None
+    assert alice.agent.status == WRONG_PROGRAM and alice.platform.stopping is not None
     assert any("init writes" in line and "at most 20 can be sent" in line for line in alice.lines)

@@ -8,7 +8,7 @@ from typing import Any, cast
 from koordgen.runtime.agent.output_commit import MOST_WAITING, OutputCommit, has_outputs
 from koordgen.runtime.program.program import Effects, Life
 from koordgen.runtime.replication.state_machine import StateMachine
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 
 
 @dataclass
@@ -27,19 +27,19 @@ def life(round_: int) -> Life:
     return Life(round_, {"count": round_}, {}, False)
 
 
-def did(round_: int, **actuators: Any) -> Record:
-    return Record(round_, 0.0, 0.0, {}, None, "Event", Effects({}, {}, actuators, False))
+def did(round_: int, **actuators: Any) -> RoundRecord:
+    return RoundRecord(round_, 0.0, 0.0, {}, None, "Event", Effects({}, {}, actuators, False))
 
 
-def nothing(round_: int) -> Record:
-    return Record(round_, 0.0, 0.0, {}, None, skipped="no event enabled")
+def nothing(round_: int) -> RoundRecord:
+    return RoundRecord(round_, 0.0, 0.0, {}, None, skipped="no event enabled")
 
 
-def rounds(records: list[Record]) -> list[int]:
+def rounds(records: list[RoundRecord]) -> list[int]:
     return [r.round for r in records]
 
 
-def box(*records: Record) -> OutputCommit:
+def box(*records: RoundRecord) -> OutputCommit:
     outbox = OutputCommit(life(0))
     for record in records:
         outbox.add(record, life=None if record.effects is None else life(record.round))

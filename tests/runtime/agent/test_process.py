@@ -93,7 +93,7 @@ def test_three_robots_run_and_end_safely(bundles: list[Path], started: list[subp
         lines = map(json.loads, (folder / "trace.jsonl").read_text().splitlines())
         phases = [t["phase"] for t in lines if t["kind"] == "phase"]
         assert [p for i, p in enumerate(phases) if p not in phases[:i]] == [
-            *("starting", "joining", "running", "resting", "rested")
+            *("starting", "joining", "running", "stopping", "stopped")
         ]
         assert len(rounds(folder)) >= 20
     ran = [r for r in rounds(bundles[1])[:20] if r["event"] == "TargetUpdate"]
@@ -133,7 +133,7 @@ def test_a_third_signal_ends_at_once(bundles: list[Path], started: list[subproce
     slow.write_text(
         f"import sys\nsys.argv[0] = {MAIN!r}\nsys.path.insert(0, {str(Path(MAIN).parents[2])!r})\n"
         "from pathlib import Path\nfrom tests.runtime.agent import robot_main as r\n"
-        "class Never(r.FakePlatform):\n    rested = False\n"
+        "class Never(r.FakePlatform):\n    stopped = False\n"
         "body = lambda settings, key: Never(r.STARTS[0])\n"
         "raise SystemExit(r.main(r.PROGRAM, body, Path(sys.argv[1]), []))\n"
     )
@@ -141,7 +141,7 @@ def test_a_third_signal_ends_at_once(bundles: list[Path], started: list[subproce
     started.append(process)
     assert process.stderr is not None
     said = ""
-    for expected in ("joining", "resting", "one more signal"):
+    for expected in ("joining", "stopping", "one more signal"):
         while expected not in (line := process.stderr.readline()):
             assert line, said
             said += line
@@ -183,7 +183,7 @@ def test_a_closed_terminal_brings_it_to_rest(bundles: list[Path], started: list[
         time.sleep(0.02)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0, errors
-    assert ends_with(bundles[0])[-2:] == ["resting", "rested"]
+    assert ends_with(bundles[0])[-2:] == ["stopping", "stopped"]
 
 
 def test_nohup_keeps_it_going(bundles: list[Path], started: list[subprocess.Popen[str]]) -> None:
@@ -192,7 +192,7 @@ def test_nohup_keeps_it_going(bundles: list[Path], started: list[subprocess.Pope
     wait_until_joining(bundles[0])
     process.send_signal(signal.SIGHUP)
     time.sleep(0.3)
-    assert process.poll() is None and "resting" not in ends_with(bundles[0])
+    assert process.poll() is None and "stopping" not in ends_with(bundles[0])
 
 
 def test_a_terminal_that_takes_nothing_holds_up_nobody(
@@ -232,7 +232,7 @@ def test_a_port_in_use_names_robot_and_address(bundles: list[Path], capsys: pyte
         for arguments in ([], ["--check"]):
             assert run(bundles[1], *arguments) == 5
             said = capsys.readouterr().err
-            assert re.search(rf"error: .*127\.0\.0\.1:{port}, where robot bert listens, is in use", said)
+            assert re.search(rf"error: .*127\.0\.0\.1:{port}, the address of robot bert: the address is in use", said)
 
 
 def test_what_is_not_compiled_is_told_once_before_a_link_is_open(
@@ -283,7 +283,7 @@ def test_settings_that_are_not_finite_are_refused(
 def test_a_key_others_may_read_is_refused(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     (bundles[0] / "fleet.key").chmod(0o644)
     assert run(bundles[0], "--check") == 1
-    assert "others may read it" in capsys.readouterr().err
+    assert "other users may read it" in capsys.readouterr().err
 
 
 def test_without_a_key_it_warns_loudly(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:

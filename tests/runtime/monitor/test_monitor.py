@@ -19,7 +19,7 @@ from koordgen.runtime.program.program import Effects, Fault, Frame
 from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import LEFT, Limit, Overrun, unlimited
 from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Change, Observation
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 from tests.build.emit.generated import checked
 
@@ -165,7 +165,7 @@ def test_actions() -> None:
     assert robot.demands() == "go", "it goes on when its own part is right again"
     robot.look(4, x=(2, 1, 1))
     robot.look(5)
-    assert robot.demands() == "rest", "for good"
+    assert robot.demands() == "stop", "for good"
     assert "invariant Bounded (a.koord:18) is violated" in robot.monitors.verdict.reason
 
 
@@ -179,10 +179,10 @@ def test_it_holds_while_nobody_knows_better() -> None:
     assert robot.demands() == "go"
 
 
-def record(round_: int, position: Point, reached: bool = True, **more: Any) -> Record:
+def record(round_: int, position: Point, reached: bool = True, **more: Any) -> RoundRecord:
     sensors = {"Motion.position": position, "Motion.reached": reached}
     frame = Frame(1, 3, {}, {}, sensors, {"Motion.target": more.pop("target", Point())})
-    return Record(round_, 0.1 * round_, 0.0, sensors, more.pop("frame", frame), **more)
+    return RoundRecord(round_, 0.1 * round_, 0.0, sensors, more.pop("frame", frame), **more)
 
 
 def moved(target: Point) -> Mapping[str, Any]:
@@ -216,7 +216,7 @@ def test_a_broken_contract_is_told_until_its_event_runs_through() -> None:
     assert (found.of, found.name, found.line, found.outcome, found.action) == (
         "requires", "plan", "a.koord:3", "violated", "stop"
     )  # fmt: skip
-    assert "a.koord:12" in found.why and robot.demands() == "rest"
+    assert "a.koord:12" in found.why and robot.demands() == "stop"
     robot.monitors.hear(record(3, Point(), **moved(Point())))
     assert [c.outcome for c in robot.changes if c.of == "requires"] == ["violated", "held"]
 

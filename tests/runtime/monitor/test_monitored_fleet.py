@@ -93,13 +93,13 @@ def test_land_and_stop_are_for_good(action: str) -> None:
     fleet = started(Yard=action)
     fleet.run_rounds(45)
     robot = fleet.robots[1]
-    assert robot.agent.phase == "rested" and robot.agent.status == VIOLATED and far(fleet) < 1.3
+    assert robot.agent.phase == "stopped" and robot.agent.status == VIOLATED and far(fleet) < 1.3
     phases = [(t["phase"], t["detail"]) for t in robot.lines_of("phase")]
-    assert any(p == "resting" and d.startswith("invariant Yard (a.koord:19) is violated: i = 1") for p, d in phases)
+    assert any(p == "stopping" and d.startswith("invariant Yard (a.koord:19) is violated: i = 1") for p, d in phases)
     assert any("properties: " in line and "violated: invariant Yard" in line for line in robot.lines)
     (told,) = [line for line in robot.lines if "Motion.position[1] = (1" in line]
     assert "error: invariant Yard (a.koord:19) is violated: i = 1" in told and told.endswith(DOES[action])
-    assert any(line.endswith(": info: resting") for line in robot.lines), "why was told just before"
+    assert any(line.endswith(": info: stopping") for line in robot.lines), "why was told just before"
     assert fleet.robots[0].agent.phase == "running"
 
 
@@ -108,7 +108,7 @@ def test_off_is_not_looked_at() -> None:
     fleet.run_rounds(28)
     assert outcomes(fleet, 1, "Yard") == [] and far(fleet) > 1.2
     fleet.run_rounds(35)
-    assert {robot.agent.phase for robot in fleet.robots.values()} <= {"resting", "rested"}, "Early stops all"
+    assert {robot.agent.phase for robot in fleet.robots.values()} <= {"stopping", "stopped"}, "Early stops all"
 
 
 def test_who_is_cut_off_does_not_know_for_long() -> None:
@@ -139,5 +139,5 @@ def test_a_program_without_properties_has_no_moments() -> None:
     fleet = Fleet(n=2).boot_all()
     fleet.run_rounds(3)
     assert all(
-        robot.agent._rounds is not None and robot.agent._rounds.moment is None for robot in fleet.robots.values()
+        robot.agent._rounds is not None and robot.agent._rounds.observation is None for robot in fleet.robots.values()
     )

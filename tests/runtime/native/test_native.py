@@ -221,14 +221,14 @@ def test_that_there_is_no_source_is_told(source: Path, cache: Path) -> None:
         ("echo 'tiny.c:3: internal error' >&2; exit 4", "failed with status 4: tiny.c:3: internal error"),
         ("exit 0", "failed with status 0: no message"),
         ("kill -9 $$", "failed with status -9: no message"),
-        ("while true; do :; done", "was not done after 0 s"),
+        ("while true; do :; done", "did not finish within 0 s"),
     ],
 )
 def test_a_compiler_that_fails_is_told(
     source: Path, cache: Path, compiler: Path, does: str, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script(compiler, does)
-    monkeypatch.setattr(native, "PATIENCE", 0.3)
+    monkeypatch.setattr(native, "TIMEOUT", 0.3)
     assert refusal(source, cache) == f"{FAILS}{compiler} {reason}"
     assert kept(cache) == [], "no half library is left"
 
@@ -317,7 +317,7 @@ def another_compiles_into(cache: Path) -> Iterator[None]:
 
 
 def test_nobody_waits_for_ever_for_another_process(source: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "PATIENCE", 0.5)
+    monkeypatch.setattr(native, "TIMEOUT", 0.5)
     cache.mkdir(parents=True, mode=0o700)
     with another_compiles_into(cache):
         assert load(source, FLAGS, prove, cache).answer(49) == 7

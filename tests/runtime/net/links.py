@@ -59,9 +59,9 @@ class Learning(FleetClock):
         super().__init__(pid)
         self.lessons: list[Any] = []
 
-    def take(self, peer: int, *stamps: Any) -> bool:
+    def add(self, peer: int, *stamps: Any) -> bool:
         self.lessons.append((peer, *stamps))
-        return super().take(peer, *stamps)
+        return super().add(peer, *stamps)
 
 
 class Ear:
@@ -90,7 +90,7 @@ class Ear:
         """Return the messages that are admitted of these."""
         self.waiting = datagrams
         found = self.link.receive()
-        return [*self.link.take_hellos(), *found]
+        return [*self.link.pop_hellos(), *found]
 
     def state(self) -> Any:
         """Return all that only an admitted datagram may change."""
@@ -109,7 +109,7 @@ class Mouth:
         self.link = Link(
             PROGRAM, given, KEY, self, self.clock, self.fleet_clock, BOOT, print, Metrics(OWN, n)  # type: ignore[arg-type]
         )  # fmt: skip
-        self.speech, self.sessions = self.link.speech, self.link.sessions
+        self.speech, self.sessions = self.link.sender, self.link.sessions
         self.others = [p for p in range(n) if p != OWN]
         self.link.epoch = EPOCH
         self.speech._next_echo = float("inf")

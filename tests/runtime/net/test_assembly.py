@@ -28,26 +28,26 @@ def wanted(author: int, round_: int) -> bool:
 def test_a_entry_comes_with_its_last_fragment_and_then_nothing_is_begun() -> None:
     assembly, whole = Assembly(), entry(5)
     *first, last = fragments(whole)
-    assert [assembly.take(p, wanted) for p in first] == [None] * len(first)
+    assert [assembly.add(p, wanted) for p in first] == [None] * len(first)
     (begun,) = assembly.received()
     assert (begun.author, begun.round, begun.digest, begun.mask) == (1, 5, last.digest, b"\x03")
-    assert assembly.take(last, wanted) == whole
+    assert assembly.add(last, wanted) == whole
     assert assembly.received() == ()
 
 
 def test_one_at_a_time_until_it_is_no_news_any_more() -> None:
     assembly = Assembly()
-    assembly.take(fragments(entry(5))[0], wanted)
-    assert assembly.take(fragments(entry(6))[0], wanted) is None
+    assembly.add(fragments(entry(5))[0], wanted)
+    assert assembly.add(fragments(entry(6))[0], wanted) is None
     assert [p.round for p in assembly.received()] == [5]
-    assembly.take(fragments(entry(6))[0], lambda author, round_: round_ > 5)
+    assembly.add(fragments(entry(6))[0], lambda author, round_: round_ > 5)
     assert [p.round for p in assembly.received()] == [6]
-    assert assembly.take(fragments(entry(6))[1], lambda author, round_: False) is None
+    assert assembly.add(fragments(entry(6))[1], lambda author, round_: False) is None
 
 
 def test_a_entry_of_another_than_its_fragments_say_is_refused() -> None:
     assembly = Assembly()
     *first, last = fragments(entry(5, author=2))
     for fragment in first:
-        assembly.take(fragment, wanted)
-    assert assembly.take(last, wanted) == "entry does not fit"
+        assembly.add(fragment, wanted)
+    assert assembly.add(last, wanted) == "entry does not fit"

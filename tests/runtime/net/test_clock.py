@@ -24,7 +24,7 @@ def talk(
     base.time += 0.01
     answered = base.now()
     base.time += back
-    assert clock.take(peer, sent, received, answered, mine.now(), 0.0)
+    assert clock.add(peer, sent, received, answered, mine.now(), 0.0)
 
 
 def test_the_bound_grows_while_nothing_is_heard() -> None:
@@ -123,7 +123,7 @@ def test_rounded_stamps_contradict_nothing(late: float) -> None:
     for i in range(1000):
         now = 100.0 + 0.01 * i + 0.37e-6 * i
         sent, received, answered, back = [round(t, 6) for t in (now, now + late, now + late + 1e-3, now + 1e-3)]
-        assert clock.take(0, sent, received, answered, back, 0.0)
+        assert clock.add(0, sent, received, answered, back, 0.0)
         assert abs(clock.read(now) - now - late) <= clock.bound(now) < 1e-5
     assert clock.breaks == 0
 
@@ -167,18 +167,18 @@ def test_a_reference_may_have_slewed_before_it_was_one() -> None:
 
 def test_an_overtaken_word_of_the_reference_does_not_count() -> None:
     clock = FleetClock(1)
-    assert clock.take(0, 10.0, 10.001, 10.001, 10.002, 0.05)
-    assert clock.take(0, 9.0, 9.001, 9.001, 10.003, 0.0)  # answered a second earlier, and late
+    assert clock.add(0, 10.0, 10.001, 10.001, 10.002, 0.05)
+    assert clock.add(0, 9.0, 9.001, 9.001, 10.003, 0.0)  # answered a second earlier, and late
     assert clock.read(10.003) == pytest.approx(10.053, abs=1e-4)
 
 
 def test_stamps_of_no_honest_exchange_are_refused() -> None:
     clock = FleetClock(1)
-    assert not clock.take(0, 10.0, 5.0, 5.1, 9.0, 0.0)  # sent in the future
-    assert not clock.take(0, 8.0, 5.1, 5.0, 9.0, 0.0)  # answered before it was received
-    assert not clock.take(0, 8.0, 5.0, 7.0, 9.0, 0.0)  # longer there than away from here
-    assert not clock.take(0, 8.0, 5.0, float("nan"), 9.0, 0.0)
-    assert not clock.take(1, 8.0, 5.0, 5.1, 9.0, 0.0)  # with itself
+    assert not clock.add(0, 10.0, 5.0, 5.1, 9.0, 0.0)  # sent in the future
+    assert not clock.add(0, 8.0, 5.1, 5.0, 9.0, 0.0)  # answered before it was received
+    assert not clock.add(0, 8.0, 5.0, 7.0, 9.0, 0.0)  # longer there than away from here
+    assert not clock.add(0, 8.0, 5.0, float("nan"), 9.0, 0.0)
+    assert not clock.add(1, 8.0, 5.0, 5.1, 9.0, 0.0)  # with itself
     assert not clock.known
 
 
@@ -193,7 +193,7 @@ def test_one_odd_exchange_moves_nothing_and_two_make_a_break() -> None:
     def odd(fleet: float = 0.0, ahead: float = 0.0) -> float:
         base.time += 0.1
         now = mine.now()
-        clock.take(0, now - 0.002, now + ahead - 0.001, now + ahead - 0.001, now, fleet)
+        clock.add(0, now - 0.002, now + ahead - 0.001, now + ahead - 0.001, now, fleet)
         return clock.read(now) - now
 
     assert odd(ahead=2.0**33) == pytest.approx(0, abs=1e-4)
@@ -225,13 +225,13 @@ def test_hostile_stamps_never_raise_nor_move_a_locked_clock_back(
 ) -> None:
     now = 10.0
     clock = FleetClock(1)
-    assert clock.take(0, now - 0.002, now, now, now, 0.0)
+    assert clock.add(0, now - 0.002, now, now, now, 0.0)
     last = clock.read(now)
     clock.lock()
     for peer, sent, received, answered, elapsed, fleet, reference in exchanges:
         now += elapsed
-        clock.take(peer, sent, received, answered, now, fleet)
-        clock.take(peer, max(0.0, now - sent), received, received, now, fleet)  # an honest trip of a mad clock
+        clock.add(peer, sent, received, answered, now, fleet)
+        clock.add(peer, max(0.0, now - sent), received, received, now, fleet)  # an honest trip of a mad clock
         if reference is not None:
             clock.follow(reference, now)
         assert clock.bound(now) >= 0.0

@@ -121,7 +121,7 @@ class World:
             machine.heard[sender] = (answered, round(now * 1e6))
         if echo is not None:
             fleet = None if said is None else said / 1e6
-            taken = machine.fleet.take(sender, echo[0] / 1e6, echo[1] / 1e6, answered / 1e6, now, fleet)
+            taken = machine.fleet.add(sender, echo[0] / 1e6, echo[1] / 1e6, answered / 1e6, now, fleet)
             self.refused += not taken
 
     def check(self, machine: Machine) -> None:

@@ -217,7 +217,7 @@ def write(index: int, value: Any) -> tuple[Write, ...]:
         (entry(first=22), "entry does not fit"),
         (entry(round_=10_000), "entry too far ahead"),
         (entry(first=TOP, round_=TOP), "entry too far ahead"),
-        (entry(author=0, first=21, round_=22), "entry of ours that we did not write"),
+        (entry(author=0, first=21, round_=22), "entry of this robot from another robot"),
         (entry(first=20, writes=write(1, 5)), "entry does not fit"),
         (entry(writes=write(2, 5)), "entry does not fit"),
         (entry(writes=write(1, 5) + write(1, 6)), "entry does not fit"),

@@ -126,8 +126,8 @@ def test_each_datagram_has_the_next_number_and_the_epoch_of_its_time() -> None:
         mouth.link.epoch = epoch
         mouth.speech.round(mouth.others, (*WORD, ()))
         mouth.speech.round([], (*WORD, ()))
-        mouth.speech.say([], wire.Decided, wire.View(0, 1, (0,)))
-        mouth.speech.say(mouth.others, wire.Decided, wire.View(0, 1, (0,)))
+        mouth.speech.send([], wire.Decided, wire.View(0, 1, (0,)))
+        mouth.speech.send(mouth.others, wire.Decided, wire.View(0, 1, (0,)))
     heads = [message.head for message in mouth.said()]
     assert [head.sequence for head in heads] == list(range(1, 9))
     assert [head.epoch for head in heads] == [e for e in (b"", b"mission1", b"mission2", b"") for _ in range(2)]

@@ -13,7 +13,7 @@ from koordgen.runtime.config.settings import Network, Peer
 from koordgen.runtime.net import udp
 from koordgen.runtime.net.inbox import PythonInbox
 from koordgen.runtime.net.transport import GROUP, CannotOpen, Transport
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from tests.runtime.net.transports import (
     BROADCAST,
     IMPLEMENTATIONS,
@@ -49,7 +49,7 @@ def test_a_port_in_use_names_robot_and_address(network: Network) -> None:
     ports = free_ports(2)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", ports[0]))
-        with pytest.raises(CannotOpen, match=rf"^127.0.0.1:{ports[0]}, where robot r0 listens, is in use"):
+        with pytest.raises(CannotOpen, match=rf"^127.0.0.1:{ports[0]}, the address of robot r0: the address is in use"):
             open_one(ports, network)
 
 
@@ -57,7 +57,7 @@ def test_a_port_in_use_names_robot_and_address(network: Network) -> None:
 def test_a_group_port_in_use_by_something_else(network: Network) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("", network.port))
-        place = rf"^{network.group}:{network.port}, the {network.transport} group of robot r0, is in use by something"
+        place = rf"^{network.group}:{network.port}, the {network.transport} group of robot r0: another program uses"
         with pytest.raises(CannotOpen, match=place):
             open_one(free_ports(2), network)
 
@@ -85,7 +85,7 @@ def test_robots_of_one_host_share_a_group(network: Network, native: bool) -> Non
         ({"transport": "multicast", "group": MULTICAST, "interface": "nope9"}, "set `interface` to the address"),
         ({"transport": "multicast", "group": MULTICAST, "interface": "192.0.2.77"}, "set `interface` to the address"),
         ({"transport": "broadcast", "group": MULTICAST}, "set `transport` to multicast"),
-        ({"transport": "broadcast", "group": "192.0.2.77"}, "is no broadcast address of a network of this host"),
+        ({"transport": "broadcast", "group": "192.0.2.77"}, "not a broadcast address of this computer"),
     ],
 )
 def test_groups_that_cannot_be(changes: dict[str, Any], told: str) -> None:
@@ -103,7 +103,7 @@ def test_ports_that_cannot_be(port: int, own: bool) -> None:
 
 
 def test_an_address_of_another_host() -> None:
-    with pytest.raises(CannotOpen, match=r"192.0.2.77:\d+, where robot r0 listens, is no address of this host: set"):
+    with pytest.raises(CannotOpen, match=r"192.0.2.77:\d+, the address of robot r0: not an address of this computer"):
         open_one(free_ports(2), bind="192.0.2.77")
 
 

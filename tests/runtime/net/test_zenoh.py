@@ -10,7 +10,7 @@ import pytest
 
 from koordgen.runtime.config.settings import Network
 from koordgen.runtime.net.transport import CannotOpen
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from tests.runtime.net.transports import Opened, free_ports, meet, needs_zenoh, opened, settings
 
 

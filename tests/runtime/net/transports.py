@@ -20,7 +20,7 @@ from koordgen.runtime.native.loader import COMPILERS
 from koordgen.runtime.net import inbox, socket_batch
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.ops.opening import open_transport
+from koordgen.runtime.ops.set_up import open_transport
 from koordgen.runtime.values.clock import SimulatedClock
 
 NO_ZENOH = importlib.util.find_spec("zenoh") is None

@@ -13,7 +13,7 @@ from koordgen.runtime.net import codec
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.wire import Message, RoundMessage
 from koordgen.runtime.program.program import Program
-from koordgen.runtime.replication.log import Log
+from koordgen.runtime.replication.log import EntryLog
 from koordgen.runtime.replication.messages import Vote
 from koordgen.runtime.replication.progress import Progress
 from tests.runtime.replication.agents import replica_of
@@ -21,7 +21,7 @@ from tests.runtime.replication.agents import replica_of
 CLEO = 2
 
 
-def _entries(log: Log) -> Any:
+def _entries(log: EntryLog) -> Any:
     """Return the entries of one robot: those without a gap, and those behind one."""
     later = [encoder.encode(log.later[first].entry) for first in sorted(log.later)]
     return log.held, [encoder.encode(logged.entry) for logged in log.kept], later

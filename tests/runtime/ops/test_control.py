@@ -27,12 +27,12 @@ from koordgen.runtime.ops.orders import (
     Offer,
     Order,
     StatusPart,
-    Stop,
-    Stopped,
+    StopAnswer,
+    StopOrder,
     decode,
     encode,
 )
-from koordgen.runtime.ops.status import Asking, ask, show
+from koordgen.runtime.ops.status import StatusRequest, ask, show
 
 NONCE = b"nonce-01"
 OTHER = bytes(32)
@@ -95,24 +95,26 @@ def test_ask_offer_stop_stopped() -> None:
     assert isinstance(offer, Offer)
     assert (offer.nonce, offer.pid, offer.robot) == (NONCE, 1, "bert")
     assert not robot.poll(), "asking stops nobody"
-    assert robot.ask(Stop(NONCE, offer.challenge)) == [Stopped(NONCE, 1, "resting")]
+    assert robot.ask(StopOrder(NONCE, offer.challenge)) == [StopAnswer(NONCE, 1, "stopping")]
     assert robot.poll()
-    robot.phase = "rested"
-    assert robot.ask(Stop(NONCE, offer.challenge)) == [Stopped(NONCE, 1, "rested")], "the answer may have been lost"
+    robot.phase = "stopped"
+    assert robot.ask(StopOrder(NONCE, offer.challenge)) == [StopAnswer(NONCE, 1, "stopped")], (
+        "the answer may have been lost"
+    )
     assert robot.control.rejected == {}
 
 
 def test_the_process_stays_until_its_answer_was_heard() -> None:
     robot = Robot()
     assert not robot.control.lingers(robot.now)
-    robot.ask(Stop(NONCE, robot.challenge()))
+    robot.ask(StopOrder(NONCE, robot.challenge()))
     assert robot.control.lingers(robot.now + LINGER / 2)
     assert not robot.control.lingers(robot.now + LINGER)
 
 
 def test_a_recorded_stop_stops_nobody_after_a_restart() -> None:
     before = Robot(secret=b"a" * 32)
-    recorded = encode(Stop(NONCE, before.challenge()), KEY)
+    recorded = encode(StopOrder(NONCE, before.challenge()), KEY)
     before.get(recorded)
     assert before.poll()
     after = Robot(secret=b"b" * 32)
@@ -122,14 +124,14 @@ def test_a_recorded_stop_stops_nobody_after_a_restart() -> None:
 
 def test_a_stop_that_was_held_back_is_too_old() -> None:
     robot = Robot()
-    recorded = encode(Stop(NONCE, robot.challenge()), KEY)
+    recorded = encode(StopOrder(NONCE, robot.challenge()), KEY)
     robot.now += CHALLENGE_LIFE + 0.1
     assert robot.get(recorded) == [] and not robot.poll()
     assert robot.control.rejected == {"an old challenge": 1}
 
 
 def test_another_robots_challenge_is_not_ours() -> None:
-    stop = Stop(NONCE, Robot(secret=b"a" * 32).challenge())
+    stop = StopOrder(NONCE, Robot(secret=b"a" * 32).challenge())
     assert Robot(secret=b"b" * 32).ask(stop) == []
 
 
@@ -143,8 +145,8 @@ def test_another_robots_challenge_is_not_ours() -> None:
         (encode(AskStatus(0, NONCE, bytes(24), 0), KEY), "not our challenge"),
         (seal(KEY, CONTROL, b"\1\4\0\0" + NONCE + bytes(LONG - 28)), "malformed"),
         (encode(Offer(NONCE, 1, bytes(24), "bert"), KEY), "an answer to nobody"),
-        (encode(Stopped(NONCE, 1, "resting"), KEY), "an answer to nobody"),
-        (encode(Stop(NONCE, bytes(24)), KEY), "not our challenge"),
+        (encode(StopAnswer(NONCE, 1, "stopping"), KEY), "an answer to nobody"),
+        (encode(StopOrder(NONCE, bytes(24)), KEY), "not our challenge"),
         (seal(KEY, MEMORY, encode(Ask(0, NONCE), KEY)[:-16]), "not authentic"),
         (seal(KEY, CONTROL, b"\1\0\0\0" + NONCE), "malformed"),
         (seal(KEY, CONTROL, b"\1\x63".ljust(SHORT - 16)), "malformed"),
@@ -166,8 +168,8 @@ def test_what_is_not_listened_to(datagram: bytes, reason: str) -> None:
     [
         Ask(65535, NONCE),
         Offer(NONCE, 127, bytes(range(24)), "a" * 32),
-        Stop(NONCE, bytes(24)),
-        Stopped(NONCE, 0, "rested"),
+        StopOrder(NONCE, bytes(24)),
+        StopAnswer(NONCE, 0, "stopped"),
         AskStatus(1, NONCE, bytes(range(24)), 3),
         StatusPart(NONCE, 0, 1, b"{}\0\0"),
         StatusPart(NONCE, 65535, 65535, b"x" * 1170),
@@ -181,7 +183,7 @@ def test_orders_arrive_as_they_were(order: Order) -> None:
 
 def test_garbage_is_never_listened_to() -> None:
     rng, robot = random.Random(1), Robot()
-    stop = encode(Stop(NONCE, robot.challenge()), KEY)
+    stop = encode(StopOrder(NONCE, robot.challenge()), KEY)
     sources = [stop, encode(Ask(0, NONCE), KEY), encode(AskStatus(0, NONCE, robot.challenge(), 0), KEY)]
     for _ in range(4000):
         data = bytearray(rng.choice(sources))
@@ -239,7 +241,7 @@ def time_to_stop(seed: int, loss: float, period: float = 0.02, delay: float = 0.
             under_way.remove(each)
             if each[1]:
                 robot.wires.arrived.append(each[2])
-            elif stopping.take(each[2], now):
+            elif stopping.receive(each[2], now):
                 next_call = now
         if next_call <= now:
             send(stopping.datagram(now), True, now)
@@ -267,37 +269,37 @@ def test_at_two_thirds_lost_it_gets_there_too() -> None:
 def test_an_agent_that_began_anew_amid_the_call_is_stopped_too() -> None:
     stopping, old, new = Stopping(0, KEY, NONCE), Robot(secret=b"a" * 32), Robot(secret=b"b" * 32)
     old.get(stopping.datagram(0.0))
-    assert stopping.take(old.wires.answers[0], 0.01)
+    assert stopping.receive(old.wires.answers[0], 0.01)
     now = 0.02
     while not stopping.phase and now < 1.0:
         new.get(stopping.datagram(now))
         for answer in new.wires.answers:
-            stopping.take(answer, now)
+            stopping.receive(answer, now)
         now += 0.01
-    assert stopping.phase == "resting" and new.poll()
+    assert stopping.phase == "stopping" and new.poll()
 
 
 def test_the_caller_believes_no_recorded_answer() -> None:
     stopping = Stopping(0, KEY, NONCE)
     for order, key in (
-        (Stopped(b"nonce-00", 1, "resting"), KEY),
-        (Stopped(NONCE, 1, "resting"), OTHER),
+        (StopAnswer(b"nonce-00", 1, "stopping"), KEY),
+        (StopAnswer(NONCE, 1, "stopping"), OTHER),
         (Offer(b"nonce-00", 1, bytes(24), "bert"), KEY),
     ):
-        assert not stopping.take(encode(order, key), 0.0)
+        assert not stopping.receive(encode(order, key), 0.0)
     assert not stopping.phase and isinstance(decode(stopping.datagram(0.0), KEY), Ask)
 
 
 # --- status
 
 
-def ask_through(robot: Robot, asking: Asking, lose: random.Random | None = None) -> dict[str, Any] | None:
+def ask_through(robot: Robot, asking: StatusRequest, lose: random.Random | None = None) -> dict[str, Any] | None:
     for _ in range(50):
         for datagram in asking.datagrams():
             robot.get(datagram)
             for answer in robot.wires.answers:
                 if lose is None or lose.random() > 0.3:
-                    asking.take(answer)
+                    asking.receive(answer)
         if asking.answer is not None:
             return asking.answer
     return None
@@ -307,7 +309,7 @@ def test_a_status_is_of_one_moment_however_long_it_is() -> None:
     robot = Robot()
     robot.report = lambda: {"long": list(range(2000)), "text": "ü"}  # type: ignore[method-assign]
     assert len(json.dumps(robot.report())) > 5 * LONG
-    assert ask_through(robot, Asking(0, KEY, NONCE), random.Random(3)) == robot.report()
+    assert ask_through(robot, StatusRequest(0, KEY, NONCE), random.Random(3)) == robot.report()
 
 
 def test_a_question_asked_again_costs_no_new_report() -> None:
@@ -345,13 +347,13 @@ def test_a_recorded_question_learns_nothing() -> None:
 
 
 def test_pieces_of_two_moments_are_asked_for_again() -> None:
-    asking = Asking(0, KEY, NONCE)
-    asking.take(encode(Offer(NONCE, 1, bytes(24), "bert"), KEY))
-    asking.take(encode(StatusPart(NONCE, 0, 2, b'{"a": '), KEY))
-    asking.take(encode(StatusPart(NONCE, 1, 2, b'"}'), KEY))
+    asking = StatusRequest(0, KEY, NONCE)
+    asking.receive(encode(Offer(NONCE, 1, bytes(24), "bert"), KEY))
+    asking.receive(encode(StatusPart(NONCE, 0, 2, b'{"a": '), KEY))
+    asking.receive(encode(StatusPart(NONCE, 1, 2, b'"}'), KEY))
     assert asking.answer is None and len(asking.datagrams()) == 1
-    asking.take(encode(StatusPart(NONCE, 3, 2, b"{}"), KEY))
-    asking.take(encode(StatusPart(b"nonce-00", 0, 1, b"{}"), KEY))
+    asking.receive(encode(StatusPart(NONCE, 3, 2, b"{}"), KEY))
+    asking.receive(encode(StatusPart(b"nonce-00", 0, 1, b"{}"), KEY))
     assert asking.answer is None
 
 

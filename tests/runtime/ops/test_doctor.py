@@ -35,8 +35,8 @@ def examined(folder: Path, capsys: pytest.CaptureFixture[str], make: Make = body
     done = agent.main(PROGRAM, make, folder, ["--doctor", "--format", "json"])
     told = json.loads(capsys.readouterr().out)
     assert told["status"] == done and told["app"] == PROGRAM.name
-    found = {f["name"]: f for f in told["findings"]}
-    assert len(found) == len(told["findings"])
+    found = {f["name"]: f for f in told["checks"]}
+    assert len(found) == len(told["checks"])
     return done, found
 
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fixtures.fleet import Fleet
 from koordgen.runtime.ops.recent import LINES_BYTES, LONGEST_VALUE, MOST_POINTS, VALUES_BYTES, Recent, goal
 from koordgen.runtime.program.program import Effects, Fault
-from koordgen.runtime.trace.writer import Record
+from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point, transmissible
 from koordgen.runtime.vehicle.platform import Vitals
 
@@ -19,19 +19,19 @@ def effects(**shared: Any) -> Effects:
     return Effects({}, shared, {}, False)
 
 
-def event(number: int, name: str = "Go", **shared: Any) -> Record:
-    return Record(number, number / 10, 0.002, {}, None, name, effects(**shared))
+def event(number: int, name: str = "Go", **shared: Any) -> RoundRecord:
+    return RoundRecord(number, number / 10, 0.002, {}, None, name, effects(**shared))
 
 
-def skipped(number: int, why: str) -> Record:
-    return Record(number, number / 10, 0.05, {}, None, skipped=why)
+def skipped(number: int, why: str) -> RoundRecord:
+    return RoundRecord(number, number / 10, 0.05, {}, None, skipped=why)
 
 
 def test_rounds_with_one_outcome_are_one_run_that_ends_at_a_gap() -> None:
     recent = Recent()
     for record in (event(1), event(2), skipped(3, "not current"), event(4), event(6)):
         recent.round(record)
-    recent.round(Record(7, 0.7, 0.0, {}, None, fault=Fault("a.koord", 3, "division by zero")))
+    recent.round(RoundRecord(7, 0.7, 0.0, {}, None, fault=Fault("a.koord", 3, "division by zero")))
     report = recent.report(0.75, {})
     assert report["outcomes"] == [
         [1, 2, "event", "Go", [2.0, 2.0]], [3, 1, "skipped", "not current", [50.0]], [4, 1, "event", "Go", [2.0]],

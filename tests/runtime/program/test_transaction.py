@@ -35,9 +35,9 @@ def test_what_is_shown_is_no_news() -> None:
     count, x = state.local("count"), state.slots("x")
     count.show(10)
     x.show((1, 2, 3), 0)
-    assert state.news() == {}
+    assert state.written_values() == {}
     count.value = 11
-    assert state.news() == {"count": 11}
+    assert state.written_values() == {"count": 11}
 
 
 def test_a_subclass_gives_cells_of_its_own_kind() -> None:
@@ -53,4 +53,4 @@ def test_a_subclass_gives_cells_of_its_own_kind() -> None:
     count, total = state.local("count"), state.shared("total")
     assert (type(count), count.value, type(total)) == (Doubled, 8, Cell)
     count.value = 1
-    assert state.news() == {"count": 1}
+    assert state.written_values() == {"count": 1}

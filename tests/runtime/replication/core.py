@@ -30,7 +30,7 @@ from koordgen.runtime.net.wire import (
     View,
 )
 from koordgen.runtime.program.program import Effects, Life, Variable
-from koordgen.runtime.program.runner import Outcome
+from koordgen.runtime.program.runner import EventResult
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.messages import HardState, Vote
 from koordgen.runtime.replication.replica import TICKS as TICKS  # the runner imports it from here
@@ -100,10 +100,10 @@ class _Program:
     def frame(self, shared: Mapping[str, Any], *_: object) -> Any:
         return SimpleNamespace(shared=shared, sensors={})
 
-    def step(self, frame: Any, deadline: float) -> Outcome:
+    def step(self, frame: Any, deadline: float) -> EventResult:
         event = self._events[self._pid]
         if event is None:
-            return Outcome()
+            return EventResult()
         if event.once:
             self._events[self._pid] = None
         number, wins = self.locals["events"] + 1, self.locals["wins"]
@@ -113,7 +113,7 @@ class _Program:
             shared |= {"wins": wins, "count": frame.shared["count"] + 1}
         actuators = {"out": number} if event.output else {}
         effects = Effects({"events": number, "wins": wins}, {**shared, **event.writes}, actuators, event.stop)
-        return Outcome("event", effects, lock=event.lock)
+        return EventResult("event", effects, lock=event.lock)
 
 
 class _Body(Body):
@@ -136,8 +136,8 @@ class _Link(Wire):
         self.room = room
         self._kept = kept
 
-    def say(self, to: Collection[int], kind: Callable[..., Any], *fields: Any) -> None:
-        super().say(to, kind, *fields)
+    def send(self, to: Collection[int], kind: Callable[..., Any], *fields: Any) -> None:
+        super().send(to, kind, *fields)
         self._check(len(to))
 
     def round(self, to: Collection[int], fields: Sequence[Any], received: object = None) -> None:

@@ -46,14 +46,14 @@ class FakeLink:
 
     def __init__(self, pid: int, disk: Disk, sent: list[tuple[int, Any]]) -> None:
         self.pid, self._disk, self._sent = pid, disk, sent
-        self.speech = self
+        self.sender = self
         self.metrics = SimpleNamespace(repeated=lambda pid: None)
         self.rejected: list[str] = []
 
     def reject(self, reason: str) -> None:
         self.rejected.append(reason)
 
-    def say(self, to: Collection[int], kind: Callable[..., Any], *fields: Any) -> None:
+    def send(self, to: Collection[int], kind: Callable[..., Any], *fields: Any) -> None:
         self._send(to, kind(head(self.pid), *fields))
 
     def round(self, to: Collection[int], fields: Sequence[Any], received: object) -> None:

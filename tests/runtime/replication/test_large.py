@@ -118,7 +118,7 @@ def test_a_report_with_entries_goes_in_as_few_datagrams_as_it_fits_in(length: in
     """Where all fit into one they need no other way than those that do not; no echo is lost on the way."""
     fleet = Fleet(n=3).boot_all()
     fleet.run_rounds(3)
-    speech, sent = fleet.robots[0].agent._link.speech, list[bytes]()
+    speech, sent = fleet.robots[0].agent._link.sender, list[bytes]()
     fleet.network.send = lambda sender, receiver, datagram: sent.append(datagram)  # type: ignore[method-assign]
     value = Raw(codec.encoder.encode("x" * length))
     entries = [Entry(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]
@@ -152,7 +152,7 @@ def test_a_dense_map_goes_in_fragments_once_and_what_changes_of_it_in_patches() 
     fleet.run(60, until=lambda: all(rounds_of(r) is not None for r in fleet.robots.values()))
     sent = tapped(fleet)
     finish(fleet)
-    room = fleet.robots[0].agent._link.speech.room
+    room = fleet.robots[0].agent._link.sender.room
     fragments = -(-(WIDTH * HEIGHT // 4) // room)
     assert fragments * N * (N - 1) <= sent["Fragment"] <= (fragments + 1) * N * (N - 1)
     patched = sent["bytes"] - sent["Fragment"] * 1200

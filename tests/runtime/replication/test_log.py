@@ -10,20 +10,20 @@ import pytest
 
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.wire import Entry
-from koordgen.runtime.replication.log import MOST_SHARING, Log, Logged
+from koordgen.runtime.replication.log import MOST_SHARING, EntryLog, Logged
 from tests.runtime.replication.states import acted, fleet, silent, write
 
 
-def append(log: Log, entry: Entry) -> None:
+def append(log: EntryLog, entry: Entry) -> None:
     log.append(entry, ())
 
 
-def entries(log: Log) -> list[Entry]:
+def entries(log: EntryLog) -> list[Entry]:
     return [logged.entry for logged in log.kept]
 
 
 def test_adjacent_silent_rounds_share_an_entry_and_entries_behind_a_gap_are_kept() -> None:
-    log = Log(0)
+    log = EntryLog(0)
     append(log, silent(1, 1, 3))
     append(log, silent(1, 7, 9))
     append(log, silent(1, 7, 8))
@@ -40,7 +40,7 @@ def test_adjacent_silent_rounds_share_an_entry_and_entries_behind_a_gap_are_kept
 
 
 def test_rounds_with_an_event_have_an_entry_each() -> None:
-    log = Log(0)
+    log = EntryLog(0)
     for entry in (silent(1, 1, 2), acted(1, 3, write(0, 1)), silent(1, 4, 4), silent(1, 4, 6), acted(1, 7)):
         append(log, entry)
     assert entries(log) == [silent(1, 1, 2), acted(1, 3, write(0, 1)), silent(1, 4, 6), acted(1, 7)]
@@ -48,7 +48,7 @@ def test_rounds_with_an_event_have_an_entry_each() -> None:
 
 
 def test_an_entry_behind_several_gaps_is_reached_once_all_are_closed() -> None:
-    log = Log(0)
+    log = EntryLog(0)
     for round_ in (6, 4, 2):
         append(log, acted(1, round_))
     for round_, held in ((1, 2), (5, 2), (3, 6)):
@@ -59,7 +59,7 @@ def test_an_entry_behind_several_gaps_is_reached_once_all_are_closed() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_entries_between_two_rounds_are_found_wherever_they_are(seed: int) -> None:
-    rng, log, held = Random(seed), Log(0), 0
+    rng, log, held = Random(seed), EntryLog(0), 0
     while held < 60:
         first, held = held + 1, held + rng.randrange(1, 4)
         append(log, acted(1, first) if first == held else silent(1, first, held))
@@ -70,14 +70,14 @@ def test_entries_between_two_rounds_are_found_wherever_they_are(seed: int) -> No
 
 
 def test_an_entry_in_which_the_author_has_stopped_is_not_joined_with_one_before() -> None:
-    log = Log(0)
+    log = EntryLog(0)
     append(log, silent(1, 1, 3))
     append(log, silent(1, 4, 6, stopped=True))
     assert [e.round for e in entries(log)] == [3, 6]
 
 
 def test_entries_of_two_incarnations_are_not_joined() -> None:
-    log = Log(0)
+    log = EntryLog(0)
     append(log, silent(1, 1, 3))
     append(log, silent(1, 4, 6, incarnation=2))
     assert [e.incarnation for e in entries(log)] == [0, 2]

@@ -9,7 +9,7 @@ import msgspec
 from koordgen.runtime.net.fragments import cut
 from koordgen.runtime.net.wire import Entry, RejoinRequest, Snapshot, SnapshotFragment, View
 from koordgen.runtime.replication.messages import Send
-from koordgen.runtime.replication.rejoin import MOST_AT_ONCE, PATIENCE, SNAPSHOTS, Rejoin, Snapshots
+from koordgen.runtime.replication.rejoin import MOST_AT_ONCE, SNAPSHOTS, TIMEOUT, Rejoin, Snapshots
 from tests.runtime.replication.states import head
 
 VIEW = View(4, 30, (0, 2, 4))
@@ -79,7 +79,7 @@ def test_a_snapshot_in_many_fragments_arrives_though_the_store_changes_meanwhile
 
 def test_a_member_that_does_not_answer_is_not_asked_for_long() -> None:
     took = fetch(Rejoin(CLEO, 3), {1: Snapshots(ROOM)}, {1: snapshot(41)}, Random(1), 0.0)
-    assert PATIENCE < took <= 3 * PATIENCE
+    assert TIMEOUT < took <= 3 * TIMEOUT
 
 
 def test_a_robot_that_has_begun_gets_the_rest_of_the_same_snapshot() -> None:
@@ -104,8 +104,8 @@ def test_only_the_last_snapshots_are_kept_and_a_robot_that_fetches_an_older_one_
     _, want = wanted(rejoin.poll(2, VIEW))
     newer = fragments(answer(snapshots, CLEO, want, snapshot(50)))
     assert {p.round for p in newer} == {50}
-    assert rejoin.step(newer[0], 2) == "fragment of something else"
-    ticks = range(3, 4 + 2 * PATIENCE)
+    assert rejoin.step(newer[0], 2) == "fragment of another blob"
+    ticks = range(3, 4 + 2 * TIMEOUT)
     assert any(wanted(rejoin.poll(t, VIEW))[1].digest == b"" for t in ticks), (
         "after a while without a new fragment it begins anew"
     )

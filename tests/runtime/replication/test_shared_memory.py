@@ -196,13 +196,13 @@ def test_the_same_seed_gives_the_same_traces() -> None:
 
 def test_a_robot_that_waits_for_a_majority_says_so_and_rests_if_the_fleet_file_wants_that() -> None:
     """Though the records of these rounds wait for the others: so must no action of safety."""
-    fleet = Fleet(safety=Safety(missed_rounds=12, missed_action="rest")).boot_all()
+    fleet = Fleet(safety=Safety(missed_rounds=12, missed_action="stop")).boot_all()
     fleet.run_rounds(10)
     fleet.network.cut = lambda sender, receiver: 1 in (sender, receiver)
     fleet.run(15 * fleet.delta)
     bert = fleet.robots[1]
     assert len([line for line in bert.lines if "12 rounds in a row not current: lacks alice" in line]) == 1
-    assert bert.agent.phase in ("resting", "rested")
+    assert bert.agent.phase in ("stopping", "stopped")
 
 
 def test_the_trace_of_a_robot_that_does_not_count_goes_on() -> None:

@@ -134,7 +134,7 @@ def test_entries_of_several_rounds_are_applied_as_far_as_all_of_them_reach() -> 
         (silent(1, 3, 2), "entry does not fit"),
         (silent(1, 1, 21 + AHEAD), "entry too far ahead"),
         (silent(1, 1, 1, incarnation=1), "entry of another view"),
-        (silent(0, 1, 2), "entry of ours that we did not write"),
+        (silent(0, 1, 2), "entry of this robot from another robot"),
         (acted(1, 1, write(2, 3)), "entry does not fit"),
         (acted(1, 1, write(1, "text")), "entry does not fit"),
         (acted(1, 1, write(1, 2**63)), "entry does not fit"),

@@ -20,7 +20,7 @@ from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent.process import _open_trace
 from koordgen.runtime.config.settings import BadSettings, load
 from koordgen.runtime.ops import doctor
-from koordgen.runtime.trace.parts import Parts
+from koordgen.runtime.trace.parts import TraceFileParts
 from koordgen.runtime.trace.writer import Trace
 from tests.disk import small_disk
 from tests.runtime.config.test_settings import written
@@ -43,7 +43,9 @@ def records(path: Path) -> list[dict[str, Any]]:
 
 
 def begun(folder: Path, limit: int = 8000, warnings: list[str] | None = None) -> Trace:
-    trace = Trace(Parts(folder / "trace.jsonl", "alice", limit), (warnings if warnings is not None else []).append)
+    trace = Trace(
+        TraceFileParts(folder / "trace.jsonl", "alice", limit), (warnings if warnings is not None else []).append
+    )
     trace.header(PROGRAM, "alice", 0, 3, 0.1)
     return trace
 
@@ -89,7 +91,7 @@ def test_a_part_begins_with_all_that_its_reader_needs(tmp_path: Path) -> None:
     for pid in range(3):
         folder = tmp_path / str(pid)
         folder.mkdir()
-        fleet.boot(pid, output=Parts(folder / "trace.jsonl", fleet_name(pid), 12000))
+        fleet.boot(pid, output=TraceFileParts(folder / "trace.jsonl", fleet_name(pid), 12000))
     fleet.run_rounds(120)
     for robot in fleet.robots.values():
         robot.agent._journal._trace.close()

@@ -133,7 +133,7 @@ def test_a_driver_that_takes_no_command_brings_the_robot_to_rest() -> None:
 
     fleet, body = fleet_with(Broken())
     fleet.run(5, until=lambda: fleet.robots[0].agent.done)
-    assert body.resting is not None
+    assert body.stopping is not None
     assert any("the driver of HVAC refused a command: OSError: no relay" in line for line in fleet.robots[0].lines)
 
 

@@ -28,14 +28,14 @@ def datagram(sequence: int = 1, key: bytes | None = KEY, **change: Any) -> bytes
 def fed(*datagrams: bytes) -> Feed:
     feed = Feed("bert", KEY)
     for each in datagrams:
-        feed.take(each, 10.0)
+        feed.receive(each, 10.0)
     return feed
 
 
 def test_what_arrives_is_what_was_measured_and_when() -> None:
     feed = Feed("bert", KEY)
     assert (feed.pose, feed.time) == (None, None)
-    assert feed.take(datagram(age=0.25), 10.0)
+    assert feed.receive(datagram(age=0.25), 10.0)
     assert feed.pose == POSE and feed.time == pytest.approx(9.75) and feed.dropped == ""
 
 
@@ -63,7 +63,7 @@ def test_what_arrives_is_what_was_measured_and_when() -> None:
 def test_what_is_wrong_is_counted_and_changes_nothing(bad: bytes, reason: str) -> None:
     feed = fed(datagram(3))
     before = (feed.pose, feed.time)
-    assert not feed.take(bad, 11.0)
+    assert not feed.receive(bad, 11.0)
     assert feed.rejected == {reason: 1} and (feed.pose, feed.time) == before
     assert feed.dropped == f"; dropped: 1 {reason}"
 
@@ -71,16 +71,16 @@ def test_what_is_wrong_is_counted_and_changes_nothing(bad: bytes, reason: str) -
 def test_what_is_repeated_or_overtaken_is_old_and_a_new_session_is_not() -> None:
     feed = fed(datagram(5), datagram(5), datagram(4), datagram(6), datagram(1, session=2), datagram(7))
     assert feed.rejected == {"old": 3}
-    assert feed.take(datagram(2, session=2), 10.0)
+    assert feed.receive(datagram(2, session=2), 10.0)
 
 
 def test_what_was_held_up_on_its_way_is_as_old_as_it_is() -> None:
     """Samples every 20 ms; the network stalls for 0.4 s and then gives all of them at once."""
     feed = Feed("bert", KEY)
     for i in range(50):
-        feed.take(datagram(i, sent=7.0 + i * 0.02), 100.0 + i * 0.02 + 0.003)
+        feed.receive(datagram(i, sent=7.0 + i * 0.02), 100.0 + i * 0.02 + 0.003)
     for i in range(50, 70):
-        feed.take(datagram(i, sent=7.0 + i * 0.02), 101.4)
+        feed.receive(datagram(i, sent=7.0 + i * 0.02), 101.4)
         assert feed.time == pytest.approx(100.003 + i * 0.02)
 
 
@@ -91,7 +91,7 @@ def test_a_senders_clock_may_drift() -> None:
         worst = 0.0
         for i in range(5000):
             true = 100.0 + i * 0.02
-            feed.take(datagram(i, sent=i * 0.02 * rate), true + (0.03 if jitter.random() < 0.01 else 0.001))
+            feed.receive(datagram(i, sent=i * 0.02 * rate), true + (0.03 if jitter.random() < 0.01 else 0.001))
             assert feed.time is not None
             worst = max(worst, abs(feed.time - true))
         assert worst < 0.002
@@ -103,7 +103,7 @@ def test_a_delay_that_grows_slowly_is_noticed() -> None:
     for i in range(6000):
         sent = i * 0.02
         arrives = 100.0 + sent + 0.003 + 0.05 * sent
-        feed.take(datagram(i, sent=sent), arrives)
+        feed.receive(datagram(i, sent=sent), arrives)
         assert feed.time is not None
         assert feed.time - (100.003 + sent) <= DRIFT * (arrives - 100.0) + 1e-6, "none is taken for a newer one"
     assert feed.time is not None and arrives - feed.time > 5.9
@@ -112,28 +112,28 @@ def test_a_delay_that_grows_slowly_is_noticed() -> None:
 def test_a_senders_clock_that_runs_fast_makes_no_fresh_sample_old() -> None:
     feed = Feed("bert", KEY)
     for i in range(3000):
-        feed.take(datagram(i, sent=i * 0.02 * 1.05), 100.0 + i * 0.02)
+        feed.receive(datagram(i, sent=i * 0.02 * 1.05), 100.0 + i * 0.02)
         assert feed.time == pytest.approx(100.0 + i * 0.02)
 
 
 def test_samples_of_another_application_are_refused() -> None:
     feed = Feed("bert", KEY, 7)
-    assert not feed.take(datagram(1), 10.0) and not feed.take(datagram(2, application=8), 10.0)
-    assert feed.take(datagram(3, application=7), 10.0)
+    assert not feed.receive(datagram(1), 10.0) and not feed.receive(datagram(2, application=8), 10.0)
+    assert feed.receive(datagram(3, application=7), 10.0)
     assert feed.rejected == {"another application": 2}
 
 
 def test_a_base_station_that_is_refused_for_its_session_is_told_of_once() -> None:
     feed = Feed("bert", KEY)
-    assert feed.take(datagram(1, session=9), 10.0)
+    assert feed.receive(datagram(1, session=9), 10.0)
     told = []
     for i in range(3 * OVERTAKEN):
-        feed.take(datagram(i, session=8), 10.0)
-        told += feed.news()
+        feed.receive(datagram(i, session=8), 10.0)
+        told += feed.log_lines()
     assert len(told) == 1 and "earlier run of the base station" in told[0]
     for _ in range(2 * OVERTAKEN):  # one that is repeated, as networks do, is none of those
-        feed.take(datagram(2, session=9), 11.0)
-    assert feed.news() == []
+        feed.receive(datagram(2, session=9), 11.0)
+    assert feed.log_lines() == []
 
 
 def test_arrivals_on_a_socket_are_stamped_by_an_even_clock(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,14 +149,14 @@ def test_arrivals_on_a_socket_are_stamped_by_an_even_clock(monkeypatch: pytest.M
     for i in range(3000):
         even = 500.0 + i * 0.02
         now = 10.0 + i * 0.02 * 1.0005
-        feed.take(datagram(i, sent=i * 0.02), now)
+        feed.receive(datagram(i, sent=i * 0.02), now)
         assert feed.time == pytest.approx(now)
 
 
 def test_no_sample_is_of_the_future() -> None:
     feed = Feed("bert", KEY)
     for i, sent in enumerate((5.0, 50.0, 1e300, -1e300, 5.1)):
-        feed.take(datagram(i, sent=sent), 10.0 + i * 0.02)
+        feed.receive(datagram(i, sent=sent), 10.0 + i * 0.02)
         assert feed.time is not None and feed.time <= 10.0 + i * 0.02
 
 
@@ -183,15 +183,15 @@ _values: Any = st.recursive(
 @given(st.binary(max_size=200), st.booleans())
 def test_no_bytes_raise(data: bytes, sealed: bool) -> None:
     feed = fed(datagram(3))
-    assert not feed.take(seal(KEY, POSITION, data) if sealed else data, 11.0)
+    assert not feed.receive(seal(KEY, POSITION, data) if sealed else data, 11.0)
     assert feed.pose == POSE
 
 
 @given(_values)
 def test_no_authentic_value_raises(value: Any) -> None:
     feed = Feed("bert", KEY)
-    feed.take(seal(KEY, POSITION, msgspec.msgpack.encode(value)), 11.0)
-    feed.take(
+    feed.receive(seal(KEY, POSITION, msgspec.msgpack.encode(value)), 11.0)
+    feed.receive(
         seal(KEY, POSITION, msgspec.msgpack.encode(["bert", value, value, value, [[value] * 3, value], value])), 11.0
     )
     assert feed.time is None or math.isfinite(feed.time)
@@ -200,7 +200,7 @@ def test_no_authentic_value_raises(value: Any) -> None:
 def test_a_sample_fits_in_a_datagram() -> None:
     large = datagram(2**60, robot="r" * 32, session=2**60)
     assert len(large) <= 160
-    assert Feed("r" * 32, KEY).take(large, 0.0)
+    assert Feed("r" * 32, KEY).receive(large, 0.0)
 
 
 def test_a_poll_takes_what_a_socket_holds_and_no_more() -> None:
@@ -222,19 +222,19 @@ def test_a_sender_needs_nothing_of_ours() -> None:
     payload = msgspec.msgpack.encode(["bert", 1760000000000, 1, 5.0, [[1.0, -2.0, 0.5], 0.7]])
     sealed = payload + hashlib.blake2s(payload, digest_size=16, key=KEY, person=b"k-pose").digest()
     feed = Feed("bert", KEY)
-    assert feed.take(sealed, 10.0) and feed.pose == POSE
+    assert feed.receive(sealed, 10.0) and feed.pose == POSE
 
 
 def test_large_counts_are_told_roughly() -> None:
     feed = fed(*[b"x"] * 99)
     assert feed.dropped == "; dropped: 99 not authentic"
-    feed.take(b"x", 10.0)
+    feed.receive(b"x", 10.0)
     assert feed.dropped == "; dropped: 100+ not authentic"
 
 
 def test_a_new_session_has_a_clock_of_its_own() -> None:
     feed = Feed("bert", KEY)
     for i in range(5):
-        feed.take(datagram(i, sent=90_000.0 + i), 10.0 + i)
-    assert feed.take(datagram(1, session=2, sent=3.0), 15.0) and feed.time == pytest.approx(15.0)
-    assert feed.take(datagram(2, session=2, sent=3.5), 15.6) and feed.time == pytest.approx(15.5, abs=1e-3)
+        feed.receive(datagram(i, sent=90_000.0 + i), 10.0 + i)
+    assert feed.receive(datagram(1, session=2, sent=3.0), 15.0) and feed.time == pytest.approx(15.0)
+    assert feed.receive(datagram(2, session=2, sent=3.5), 15.6) and feed.time == pytest.approx(15.5, abs=1e-3)

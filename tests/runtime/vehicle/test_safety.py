@@ -70,7 +70,7 @@ def test_a_lost_position_ends_this_robot_safely_and_it_still_serves() -> None:
     bert.platform.fresh = False
     fleet.run(2.6)
     commands = len(bert.platform.commands)
-    assert bert.agent.phase == "rested" and bert.platform.rested and not bert.done()
+    assert bert.agent.phase == "stopped" and bert.platform.stopped and not bert.done()
     fleet.run(2.0)
     assert fleet.robots[2].records[-1].event == "TargetUpdate"
     assert bert.records[-1].skipped == "left the mission" and len(bert.platform.commands) == commands
@@ -90,7 +90,7 @@ def test_a_robot_outside_the_fence_ends_safely() -> None:
     assert robot.agent.phase == "running"  # back in time
     robot.platform.position = robot.platform.target = Point(0, 7, 0)
     fleet.run(0.7)
-    assert robot.agent.phase in ("resting", "rested")
+    assert robot.agent.phase in ("stopping", "stopped")
     assert "outside the geofence for 0.5 s, at (0.00, 7.00, 0.00)" in "".join(robot.lines)
 
 
@@ -103,7 +103,7 @@ def test_a_position_that_is_no_number_holds_and_never_reaches_the_program() -> N
     assert robot.held() and robot.records[-1].frame is None
     assert fleet.robots[0].records[-1].frame is not None
     fleet.run(3.0)
-    assert robot.agent.phase in ("resting", "rested")
+    assert robot.agent.phase in ("stopping", "stopped")
 
 
 def test_a_lost_body_is_brought_to_rest_or_given_up() -> None:
@@ -112,7 +112,7 @@ def test_a_lost_body_is_brought_to_rest_or_given_up() -> None:
     robot = fleet.robots[1]
     robot.platform.raises = Unready("no heartbeat for 5 s", "look at the cable")
     fleet.run(1.0)
-    assert robot.agent.phase == "resting" and robot.platform.resting is not None and not robot.done()
+    assert robot.agent.phase == "stopping" and robot.platform.stopping is not None and not robot.done()
     assert len([line for line in robot.lines if "no heartbeat for 5 s (look at the cable)" in line]) == 1
     fleet.run(11.0)
     assert robot.done() and robot.agent.status == 5
@@ -123,8 +123,8 @@ def test_a_body_that_serves_again_is_waited_for_however_long_it_takes_to_rest() 
 
     class Slow(FakePlatform):
         @property
-        def rested(self) -> bool:
-            return self.resting is not None and self.now - self.resting >= 25.0
+        def stopped(self) -> bool:
+            return self.stopping is not None and self.now - self.stopping >= 25.0
 
     fleet = Fleet(n=1)
     robot = fleet.boot(0, Slow(Point()))
@@ -133,9 +133,9 @@ def test_a_body_that_serves_again_is_waited_for_however_long_it_takes_to_rest() 
     fleet.run(1.0)
     robot.platform.raises = None
     fleet.run(23.0)
-    assert robot.agent.phase == "resting" and not robot.done()
+    assert robot.agent.phase == "stopping" and not robot.done()
     fleet.run(3.0)
-    assert robot.done() and robot.agent.status == 5 and robot.agent.phase == "rested"
+    assert robot.done() and robot.agent.status == 5 and robot.agent.phase == "stopped"
     assert "did not stop in time" not in "".join(robot.lines)
 
 
@@ -147,7 +147,7 @@ def test_a_rested_robot_whose_body_is_switched_off_still_serves_until_it_is_told
     fleet.run(0.1)
     bert.platform.raises = None
     fleet.run(0.5)
-    assert bert.agent.phase == "rested"
+    assert bert.agent.phase == "stopped"
     bert.platform.raises = Unready("switched off")
     fleet.run(30.0)
     assert not bert.done() and fleet.robots[0].records[-1].skipped == "no event enabled"
@@ -181,7 +181,7 @@ def test_an_internal_error_brings_the_body_to_rest(forever: bool, monkeypatch: p
         robot.platform.raises = AttributeError("our second mistake")
     fleet.run(5.0)
     assert robot.done() and robot.agent.status == 70
-    assert robot.platform.resting is not None and robot.platform.rested != forever
+    assert robot.platform.stopping is not None and robot.platform.stopped != forever
     assert len([line for line in robot.lines if "internal error, please report it" in line]) == 1
     assert "our mistake" in "".join(robot.lines) or forever
 
@@ -237,8 +237,8 @@ class Landing(FakePlatform):
     """Takes longer to come to rest than robots wait for one that has ended."""
 
     @property
-    def rested(self) -> bool:
-        return self.resting is not None and self.now - self.resting >= 3.0
+    def stopped(self) -> bool:
+        return self.stopping is not None and self.now - self.stopping >= 3.0
 
 
 def test_a_normal_end_warns_of_nothing() -> None:

@@ -16,9 +16,9 @@ from koordgen.runtime.net.seal import POSITION, SCAN, seal
 from koordgen.runtime.values.points import Point, transmissible
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from koordgen.runtime.vehicle.scans import (
+    FIRST_SAMPLE_TIMEOUT,
     MOST_RAYS,
     MOST_SCANS,
-    PATIENCE,
     WINDOW,
     ScanPort,
     Scans,
@@ -44,7 +44,7 @@ def datagram(sequence: int = 1, key: bytes | None = KEY, **change: Any) -> bytes
 def test_what_arrives_is_what_was_measured() -> None:
     feed = Scans("bert", KEY)
     assert feed.recent(0.0) == ()
-    assert feed.take(datagram(), 10.0) and feed.heard
+    assert feed.receive(datagram(), 10.0) and feed.heard
     ((place, scan),) = feed.recent(10.0)
     assert place == PLACE and scan.max_range == 6.0
     assert scan.angles == pytest.approx([0.5 + 0.1 * i for i in range(7)])
@@ -57,7 +57,7 @@ def test_what_arrives_is_what_was_measured() -> None:
 def test_nothing_is_the_maximum_to_the_last_bit_and_the_farthest_thing_is_nearer(max_range: float) -> None:
     feed = Scans("bert", KEY)
     just_below = math.nextafter(max_range, 0.0)
-    feed.take(datagram(max_range=max_range, ranges=packed([max_range, just_below], max_range)), 0.0)
+    feed.receive(datagram(max_range=max_range, ranges=packed([max_range, just_below], max_range)), 0.0)
     ((_, scan),) = feed.recent(0.0)
     assert scan.ranges[0] == max_range > scan.ranges[1]
 
@@ -66,13 +66,13 @@ def test_the_largest_turn_fits_in_a_datagram() -> None:
     full = packed([1.0] * MOST_RAYS, 6.0)
     large = datagram(2**60, robot="r" * 32, session=2**60, age=0.1, ranges=full)
     assert len(large) <= 1200
-    assert Scans("r" * 32, KEY).take(large, 0.0)
+    assert Scans("r" * 32, KEY).receive(large, 0.0)
 
 
 def test_looking_changes_nothing_and_scans_are_seen_for_a_while() -> None:
     feed = Scans("bert", KEY)
-    feed.take(datagram(1), 10.0)
-    feed.take(datagram(2, age=0.3), 10.2)  # measured before the first arrived
+    feed.receive(datagram(1), 10.0)
+    feed.receive(datagram(2, age=0.3), 10.2)  # measured before the first arrived
     assert len(feed.recent(10.2)) == 2 and feed.recent(10.2) == feed.recent(10.2)
     assert len(feed.recent(9.9 + WINDOW + 0.05)) == 1
     assert feed.recent(10.01 + WINDOW) == ()
@@ -81,7 +81,7 @@ def test_looking_changes_nothing_and_scans_are_seen_for_a_while() -> None:
 def test_of_many_the_newest_are_kept() -> None:
     feed = Scans("bert", KEY)
     for k in range(1, 20):
-        feed.take(datagram(k, position=Point(float(k), 0.0, 0.0)), 10.0)
+        feed.receive(datagram(k, position=Point(float(k), 0.0, 0.0)), 10.0)
     assert [place.x for place, _ in feed.recent(10.0)] == [16.0, 17.0, 18.0, 19.0]
 
 
@@ -115,9 +115,9 @@ def test_of_many_the_newest_are_kept() -> None:
 )
 def test_what_is_not_right_changes_nothing(bad: bytes, reason: str) -> None:
     feed = Scans("bert", KEY)
-    feed.take(datagram(5), 10.0)
+    feed.receive(datagram(5), 10.0)
     before = feed.recent(10.0)
-    assert not feed.take(bad, 10.0)
+    assert not feed.receive(bad, 10.0)
     assert feed.rejected == {reason: 1}
     assert feed.recent(10.0) == before
 
@@ -130,7 +130,7 @@ def bounded(feed: Scans) -> bool:
 def test_noise_neither_raises_nor_stays(noise: list[bytes], sealed: bool) -> None:
     feed = Scans("bert", None)
     for data in noise:
-        feed.take(seal(None, SCAN, data) if sealed else data, 10.0)
+        feed.receive(seal(None, SCAN, data) if sealed else data, 10.0)
     assert bounded(feed)
 
 
@@ -147,7 +147,7 @@ def test_a_turn_with_anything_in_its_fields_neither_raises_nor_is_seen_wrongly(c
     fields: list[Any] = msgspec.to_builtins(sweep(3), builtin_types=(bytes,))
     for place, value in changes:
         fields[place] = value
-    feed.take(seal(None, SCAN, msgspec.msgpack.encode(fields)), 10.0)
+    feed.receive(seal(None, SCAN, msgspec.msgpack.encode(fields)), 10.0)
     assert bounded(feed)
 
 
@@ -180,7 +180,7 @@ def test_a_robot_without_a_lidar_waits_for_none(ports: Callable[[str], ScanPort]
     port = ports("")
     port.open()
     port.poll(0.0)
-    port.poll(PATIENCE + 1.0)
+    port.poll(FIRST_SAMPLE_TIMEOUT + 1.0)
     assert port.waiting == "" and port.diagnose(lambda seconds: None) == []
 
 
@@ -201,11 +201,11 @@ def test_a_lidar_that_stays_silent_is_told_once(ports: Callable[[str], ScanPort]
     port = ports(f"udp:127.0.0.1:{free()}")
     port.open()
     port.poll(1000.0)
-    port.poll(1000.0 + PATIENCE)
+    port.poll(1000.0 + FIRST_SAMPLE_TIMEOUT)
     with pytest.raises(Unready, match="none has come for 61 s") as error:
-        port.poll(1001.0 + PATIENCE)
+        port.poll(1001.0 + FIRST_SAMPLE_TIMEOUT)
     assert "driver" in error.value.hint
-    port.poll(1002.0 + PATIENCE)  # the robot must be able to land
+    port.poll(1002.0 + FIRST_SAMPLE_TIMEOUT)  # the robot must be able to land
 
 
 def test_diagnosis_waits_for_a_scan_and_closes_the_port(ports: Callable[[str], ScanPort]) -> None:

@@ -174,6 +174,6 @@ def test_the_agent_flies_it() -> None:
     assert rig.autopilot is not None and rig.autopilot.copter.mode == OFFBOARD and 1.1 < at(rig).z < 1.7
     rig.go(4.0, 3.0)
     assert rig.run(15.0, rig.reached) and distance(at(rig), Point(4.0, 3.0, 1.5)) < 0.2
-    rig.quad.rest(rig.now)
-    assert rig.run(15.0, lambda: rig.quad.rested)
+    rig.quad.stop(rig.now)
+    assert rig.run(15.0, lambda: rig.quad.stopped)
     assert not rig.autopilot.copter.armed and at(rig).z == 0.0

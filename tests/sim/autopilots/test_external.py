@@ -401,7 +401,7 @@ def test_an_agent_flies_with_an_external_autopilot(tmp_path: Path, busy: int) ->
     assert done.returncode in ((0, 3) if busy else (0,)), done.stdout + done.stderr
     robots = {robot["name"]: robot for robot in json.loads((out / "summary.json").read_text())["robots"]}
     assert math.dist(robots["ext"]["final"], (2.0, 3.0, 2.0)) < 0.3
-    assert robots["ext"]["rest"][2] == pytest.approx(0.0, abs=0.05)  # it has landed
+    assert robots["ext"]["stop"][2] == pytest.approx(0.0, abs=0.05)  # it has landed
     lockstep = [sys.executable, "-m", "koordgen", "sim", *words, "--lockstep"]
     done = subprocess.run(lockstep, capture_output=True, text=True)
     assert (

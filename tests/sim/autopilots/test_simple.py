@@ -78,8 +78,8 @@ class Rig:
     def ready(self) -> bool:
         return self.platform.ready
 
-    def rested(self) -> bool:
-        return self.platform.rested
+    def stopped(self) -> bool:
+        return self.platform.stopped
 
     def close(self) -> None:
         self.platform.close()
@@ -119,9 +119,9 @@ def test_a_quad_that_is_held_stays_on_the_ground() -> None:
     rig.platform.hold(True, 0.0)
     rig.run(2.0)
     assert rig.world.grounded(rig.body.rigid) and not rig.ready()
-    rig.platform.rest(rig.world.time)
+    rig.platform.stop(rig.world.time)
     rig.run(0.1)
-    assert rig.rested()
+    assert rig.stopped()
     rig.close()
 
 
@@ -165,18 +165,18 @@ def test_a_quad_pauses_and_goes_on(quad: Rig) -> None:
 
 def test_a_quad_lands_to_rest(quad: Rig) -> None:
     up(quad)
-    quad.platform.rest(quad.world.time)
+    quad.platform.stop(quad.world.time)
     quad.run(1.0)
-    assert not quad.rested()
+    assert not quad.stopped()
     quad.run(4.0)
-    assert quad.rested() and quad.world.grounded(quad.body.rigid)
+    assert quad.stopped() and quad.world.grounded(quad.body.rigid)
 
 
 def test_a_landing_quad_whose_simulator_has_ended_is_not_waited_for(quad: Rig) -> None:
     up(quad)
     quad.fault_state.positioning = PositioningFault(dropout=1.0)  # not a word any more
     quad.run(30.0)
-    quad.platform.rest(quad.world.time)
+    quad.platform.stop(quad.world.time)
     quad.run(8.0)
     with pytest.raises(Unready, match="simulated body"):
         quad.run(4.0)
@@ -214,9 +214,9 @@ def test_a_car_goes_to_its_target_and_rests(car: Rig) -> None:
     assert car.sensed("reached"), car.platform.progress
     assert math.dist(car.body.state().position, (2.0, 1.0, 0.0)) < 0.12
     assert car.sensed("pose").position == car.sensed("position")
-    car.platform.rest(car.world.time)
+    car.platform.stop(car.world.time)
     car.run(1.0)
-    assert car.rested()
+    assert car.stopped()
 
 
 def test_a_car_whose_agent_falls_silent_brakes(car: Rig) -> None:

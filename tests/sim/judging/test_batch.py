@@ -94,8 +94,8 @@ def test_what_is_surely_so_is_so(tmp_path: Path) -> None:
         moments = [{name: [place(rng) for _ in range(N)] for name in names} for _ in range(5)]
         known = found.fleet(N, None)
         for k, property_ in enumerate(found.properties):
-            assert property_.surely is not None, SURE[k]
-            unsure = Batch(len(moments), N, arrays(moments), of_round).unsure(property_.surely)
+            assert property_.screening is not None, SURE[k]
+            unsure = Batch(len(moments), N, arrays(moments), of_round).unsure(property_.screening)
             for m, moment in enumerate(moments):
                 known.put({**of_round, **moment})
                 outcome, why = judged(property_.holds, known)
@@ -123,8 +123,8 @@ def test_what_surely_is_of_each_robot_is(tmp_path: Path) -> None:
         before = values(rng) | {"Motion.position": [place(rng) for _ in range(N)]}
         later = [{"Motion.position'": [place(rng) for _ in range(N)]} for _ in range(4)]
         for assumption in found.assumptions:
-            assert assumption.surely is not None
-            unsure = Batch(4, N, arrays(later), before).unsure_of(assumption.surely)
+            assert assumption.screening is not None
+            unsure = Batch(4, N, arrays(later), before).unsure_of(assumption.screening)
             for m, moment in enumerate(later):
                 for pid in range(N):
                     known = found.step(N, None)
@@ -138,15 +138,15 @@ def test_what_surely_is_of_each_robot_is(tmp_path: Path) -> None:
 
 
 def test_what_has_no_such_form_has_none(tmp_path: Path) -> None:
-    assert [p.surely for p in properties(tmp_path, *BEYOND).properties] == [None] * len(BEYOND)
+    assert [p.screening for p in properties(tmp_path, *BEYOND).properties] == [None] * len(BEYOND)
 
 
 def test_what_is_not_known_is_not_sure(tmp_path: Path) -> None:
     (found,) = properties(tmp_path, SURE[2]).properties
     of_round = {**values(Random(1)), "on": [False, UNKNOWN, False, False]}
     moment = {"Motion.position": [Point()] * N, "Motion.velocity": [Point()] * N}
-    assert found.surely is not None
-    assert Batch(2, N, arrays([moment, moment]), of_round).unsure(found.surely) == [0, 1]
+    assert found.screening is not None
+    assert Batch(2, N, arrays([moment, moment]), of_round).unsure(found.screening) == [0, 1]
 
 
 @pytest.mark.parametrize("n", [25])
@@ -154,7 +154,7 @@ def test_many_moments_at_once_cost_little(tmp_path: Path, n: int) -> None:
     """Beside asking one by one, in the same run."""
     found = properties(tmp_path, SURE[0])
     (apart,) = found.properties
-    assert apart.surely is not None
+    assert apart.screening is not None
     places = [Point(2.0 * k, 0.0, 0.0) for k in range(n)]
     moments = [{"Motion.position": places}] * 24
     known = found.fleet(n, None)
@@ -165,5 +165,5 @@ def test_many_moments_at_once_cost_little(tmp_path: Path, n: int) -> None:
     one_by_one = time.process_time() - began
     began = time.process_time()
     for _ in range(10):
-        assert not Batch(24, n, arrays(moments), {}).unsure(apart.surely)
+        assert not Batch(24, n, arrays(moments), {}).unsure(apart.screening)
     assert (time.process_time() - began) / 10 < one_by_one / 4

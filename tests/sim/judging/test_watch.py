@@ -33,9 +33,11 @@ def test_what_holds_is_held_at_every_step(tmp_path: Path) -> None:
     assert {v.outcome for v in verdicts.values()} == {"held"}, verdicts
     assert not watched.violations()
     rounds = watched.watcher._truth.round
-    assert verdicts["Apart"].moments == pytest.approx(rounds * 25, abs=30), "each physics step, twice where rounds meet"
-    assert verdicts["Counted"].moments == rounds + 1, "once a round, and before the first"
-    assert verdicts["initially"].moments == 1
+    assert verdicts["Apart"].observations == pytest.approx(rounds * 25, abs=30), (
+        "each physics step, twice where rounds meet"
+    )
+    assert verdicts["Counted"].observations == rounds + 1, "once a round, and before the first"
+    assert verdicts["initially"].observations == 1
     assert watched.watcher.seconds > 0
 
 
@@ -127,13 +129,13 @@ def test_a_robot_that_dies_has_left_the_model(tmp_path: Path) -> None:
     watched.run(3.0)
     verdicts = watched.end()
     assert verdicts["Apart"].outcome == "out of model" and verdicts["Counted"].outcome == "held"
-    assert verdicts["Counted"].moments > 30, "the run goes on, and so does the watch"
+    assert verdicts["Counted"].observations > 30, "the run goes on, and so does the watch"
 
 
 def test_a_fleet_that_has_stopped_has_not_left_the_model(tmp_path: Path) -> None:
     text = WHOLE + "invariant Never: sum >= 0\nDone:\n  pre: True\n  eff: stop\n"
     watched = Watched(tmp_path, text.replace("pid == 1 and N_SYS > 2", "False")).run(8.0)
-    assert all(robot.agent.phase == "rested" for robot in watched.fleet.robots.values())
+    assert all(robot.agent.phase == "stopped" for robot in watched.fleet.robots.values())
     assert {v.outcome for v in watched.end().values()} == {"held"}
 
 

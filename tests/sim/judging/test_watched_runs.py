@@ -56,7 +56,7 @@ def test_a_property_that_does_not_hold_fails_the_run_at_its_time(
     assert apart["since"] == pytest.approx(before, abs=0.06), "bert stands at -1.5: closer than 1 m from there on"
     assert "chase.koord:15" in found["why"] and found["violations"][0]["what"] == "property"
     assert found["watching"] < 0.25
-    assert properties["Apart"]["moments"] > 0 and "VIOLATED since" in (out / "summary.txt").read_text()
+    assert properties["Apart"]["observations"] > 0 and "VIOLATED since" in (out / "summary.txt").read_text()
     assert main(["replay", str(out)]) == 0
     assert "5 robots" in capsys.readouterr().out
 

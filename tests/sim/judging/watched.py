@@ -57,9 +57,9 @@ class Agent:
     """What a Watcher wants to know of one."""
 
     robot: Any
-    told: bool = False
+    asked_to_end: bool = False
     alive: bool = True
-    resting: Phase | None = None
+    stopping: Phase | None = None
     read: int = 0
 
 
@@ -137,15 +137,15 @@ class Watched:
         for record in records:
             if isinstance(record, Round) and self.run_.zero is None:
                 self.run_.zero = record.time - record.late - (record.round - 1) * self.fleet.delta
-            if isinstance(record, Phase) and record.phase == "resting" and not agent.told:
-                agent.resting = record
+            if isinstance(record, Phase) and record.phase == "stopping" and not agent.asked_to_end:
+                agent.stopping = record
         agent.alive = agent.alive and not self.fleet.robots[agent.robot.pid].agent.done
 
     def end(self) -> dict[str, Verdict]:
         """All verdicts, by name, or by what they are of."""
         self.look()
         for agent in self.run_.agents:
-            agent.told = True
+            agent.asked_to_end = True
         for companion in self.companions:
             companion.end(self.fleet.time.time)
         return {mark.name or mark.of: mark for mark in self.run_.marks if isinstance(mark, Verdict)}

@@ -18,7 +18,7 @@ from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import load
 from targets.sim.lockstep.run import Lockstep
 from targets.sim.run.progress import Progress
-from targets.sim.run.run import Outcome, Run
+from targets.sim.run.run import Run, RunResult
 from targets.sim.run.run_interface import AgentHandle
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -93,7 +93,7 @@ class Plan:
         return math.hypot(*states[pid].velocity)
 
 
-def played(bundle: Path, folder: Path, seconds: float, plan: Plan, seed: int = 0) -> Outcome:
+def played(bundle: Path, folder: Path, seconds: float, plan: Plan, seed: int = 0) -> RunResult:
     """A run in this process, with a plan."""
     folder.mkdir()
     scenario = load(bundle)

@@ -96,7 +96,7 @@ def test_a_mesh_may_have_triangles_as_narrow_as_they_come(engine: Engine, height
     corners = Point(5.0, 5.0, 5.0), Point(5.0 + length, 5.0, 5.0), Point(5.0 + length / 3, 5.0 + height, 5.0)
     engine.obstacle(Mesh(corners, ((0, 1, 2),)))
     quad = engine.body(quadrotor.SOLID)
-    engine.take(quad, (0.0, 0.0, 1.0), UPRIGHT)
+    engine.set_pose(quad, (0.0, 0.0, 1.0), UPRIGHT)
     still = (0.0, 0.0, 0.0)
     ((position, *_),) = engine.step([(quad, still, still)])
     assert position == pytest.approx((0.0, 0.0, 1.0))
@@ -106,7 +106,7 @@ def slid(engine: Engine, under: Callable[[Engine], float], friction: float) -> f
     """The deceleration (m/s^2) of a brick that slides over something whose top is at the height returned."""
     top = under(engine)
     brick = engine.body(Solid((0.2, 0.2, 0.1), 1.0, (0.01, 0.01, 0.01), friction))
-    engine.take(brick, (0.0, 0.0, top + 0.05), UPRIGHT)
+    engine.set_pose(brick, (0.0, 0.0, top + 0.05), UPRIGHT)
     velocity, spin = (1.5, 0.0, 0.0), (0.0, 0.0, 0.0)
     for _ in range(60):
         falling = (velocity[0], velocity[1], velocity[2] - GRAVITY * STEP)
@@ -135,8 +135,8 @@ def test_a_floor_has_the_friction_that_the_world_says(made: str, slippery: float
 
 def test_a_body_that_is_released_is_in_nobodys_way_until_it_is_taken_again(engine: Engine) -> None:
     one, other = (engine.body(quadrotor.SOLID) for _ in range(2))
-    engine.take(one, (0.0, 0.0, 1.0), UPRIGHT)
-    engine.take(other, (0.1, 0.0, 1.0), UPRIGHT)
+    engine.set_pose(one, (0.0, 0.0, 1.0), UPRIGHT)
+    engine.set_pose(other, (0.1, 0.0, 1.0), UPRIGHT)
     still = (0.0, 0.0, 0.0)
     engine.step([(one, still, still), (other, still, still)])
     assert engine.touched().bodies == {(0, 1)}
@@ -144,14 +144,14 @@ def test_a_body_that_is_released_is_in_nobodys_way_until_it_is_taken_again(engin
     (moved,) = engine.step([(one, (1.0, 0.0, 0.0), still)])
     assert engine.touched() == contacts.Touched()
     assert moved[2] == pytest.approx((1.0, 0.0, 0.0))
-    engine.take(other, moved[0], UPRIGHT)
+    engine.set_pose(other, moved[0], UPRIGHT)
     engine.step([(one, still, still), (other, still, still)])
     assert engine.touched().bodies == {(0, 1)}
 
 
 def test_what_is_added_later_counts_and_moves_nobody(engine: Engine) -> None:
     quad = engine.body(quadrotor.SOLID)
-    engine.take(quad, (0.0, 0.0, 1.0), UPRIGHT)
+    engine.set_pose(quad, (0.0, 0.0, 1.0), UPRIGHT)
     still = (0.0, 0.0, 0.0)
     ((position, *_),) = engine.step([(quad, (0.24, 0.0, 0.0), still)])
     assert position == pytest.approx((0.001, 0.0, 1.0))
@@ -164,7 +164,7 @@ def test_what_is_added_later_counts_and_moves_nobody(engine: Engine) -> None:
 def test_a_turning_body_keeps_its_spin_in_the_worlds_frame(engine: Engine) -> None:
     quad = engine.body(quadrotor.SOLID)
     yawed = (0.0, 0.0, math.sin(0.6), math.cos(0.6))
-    engine.take(quad, (0.0, 0.0, 5.0), yawed)
+    engine.set_pose(quad, (0.0, 0.0, 5.0), yawed)
     velocity, spin = (0.1, 0.2, 0.3), (0.5, -0.4, 0.3)
     ((position, turned, *after),) = engine.step([(quad, velocity, spin)])
     assert position == pytest.approx([5.0 * (k == 2) + v * STEP for k, v in enumerate(velocity)])
@@ -324,14 +324,14 @@ def test_a_step_that_cannot_be_computed_ends_the_run_and_leaves_no_file(
     monkeypatch.chdir(tmp_path)
     engine = make(made, STEP)
     quad = engine.body(quadrotor.SOLID)
-    engine.take(quad, (0.0, 0.0, 1.0), UPRIGHT)
+    engine.set_pose(quad, (0.0, 0.0, 1.0), UPRIGHT)
     with pytest.raises(RuntimeError, match="Nan"):
         engine.step([(quad, (math.nan, 0.0, 0.0), (0.0, 0.0, 0.0))])
     engine.close()
     assert not list(tmp_path.iterdir())
     another = make(made, STEP)
     again = another.body(quadrotor.SOLID)
-    another.take(again, (0.0, 0.0, 1.0), UPRIGHT)
+    another.set_pose(again, (0.0, 0.0, 1.0), UPRIGHT)
     ((position, *_),) = another.step([(again, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
     another.close()
     assert position == pytest.approx((0.0, 0.0, 1.0)), "the next world knows nothing of it"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from koordgen.runtime.values.points import Point
-from targets.car.base.bicycle import State
+from targets.car.base.bicycle import BicycleState
 from targets.car.control.fence import beyond
 from targets.car.control.mpc import Command
 from targets.sim.base.bodies import BodyState
@@ -121,7 +121,7 @@ class Racecar(TestBody):
     def step(self, seconds: float) -> None:
         self._world.step()
         state = self._car.state()
-        self.truth = State(state.position[0], state.position[1], state.yaw, math.hypot(*state.velocity))
+        self.truth = BicycleState(state.position[0], state.position[1], state.yaw, math.hypot(*state.velocity))
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.0, 2.0, 3.0])

@@ -35,10 +35,10 @@ def write(**record):
 def phase(name, detail=""):
     write(kind="phase", phase=name, detail=detail)
 def end(number, frame):
-    phase("resting", "told to end")
+    phase("stopping", "told to end")
     if how == "stubborn":
         return
-    phase("rested")
+    phase("stopped")
     if how == "leaving":  # as Python on its way out, which heeds signals no longer
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTERM)
@@ -69,7 +69,7 @@ for round_ in range(1, 10_000):
     if how == "shot" and round_ == 5:
         os.kill(os.getpid(), signal.SIGKILL)
     if how == "stopping" and round_ == 5:
-        phase("resting", "all robots have stopped")
+        phase("stopping", "all robots have stopped")
         sys.exit(0)
     time.sleep(0.1)
 """

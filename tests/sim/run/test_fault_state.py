@@ -29,7 +29,7 @@ def told(wrong: PositioningFault, seconds: float = 10.0) -> list[tuple[float, Ve
     found = []
     station = BaseStation(body, replace(context(), fault_state=FaultState(wrong)))
     for now, datagram in run(seconds, body, station):
-        assert feed.take(datagram, now) and feed.pose is not None
+        assert feed.receive(datagram, now) and feed.pose is not None
         p = feed.pose.position
         found.append((now, (p.x - now, p.y - 2.0, p.z - 1.5)))
     return found

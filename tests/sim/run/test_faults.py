@@ -49,7 +49,7 @@ class FakeRun:
     def _agent(self, name: str) -> Any:
         return SimpleNamespace(
             crash=lambda: self._do("crash", name), restart=lambda: self._do("restart", name),
-            freeze=lambda seconds: self._do("freeze", (name, seconds)), told=False, alive=True, crashed=False,
+            freeze=lambda seconds: self._do("freeze", (name, seconds)), asked_to_end=False, alive=True, crashed=False,
             frozen=False, thaw=lambda: self._do("thaw", name),
         )  # fmt: skip
 

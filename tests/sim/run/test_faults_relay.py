@@ -21,7 +21,7 @@ NAMES = ("ann", "bob", "cem")
 def arrivals(router: Router, count: int, sender: int = 0, receiver: int = 1, every: float = 0.01) -> list[bytes]:
     """Of so many datagrams, one each `every` seconds, those that arrive, in their order."""
     for k in range(count):
-        router.take(sender, receiver, b"%d" % k, k * every)
+        router.forward(sender, receiver, b"%d" % k, k * every)
     return [datagram for _, datagram in router.due(1e9)]
 
 
@@ -69,8 +69,8 @@ def test_a_link_has_conditions_of_its_own_where_it_says_so() -> None:
     schedule = Schedule(Conditions(loss=1.0, delay=0.2), (LinkConditions("ann", "bob", {"loss": 0.0}),))
     made = Router(3, seed=1)
     made.change(medium(schedule, NAMES))
-    made.take(0, 1, b"there", 0.0)
-    made.take(1, 0, b"back", 0.0)
+    made.forward(0, 1, b"there", 0.0)
+    made.forward(1, 0, b"back", 0.0)
     assert made.due(0.19) == [] and made.due(0.21) == [(1, b"there")]
 
 
@@ -78,13 +78,13 @@ def test_nothing_crosses_a_partition_but_what_is_under_way() -> None:
     made = Router(3, seed=1)
     whole = medium(Schedule(Conditions(delay=0.1)), NAMES)
     made.change(whole)
-    made.take(0, 2, b"before", 0.0)
+    made.forward(0, 2, b"before", 0.0)
     made.change(partition(whole, [["ann", "bob"], ["cem"]], NAMES))
-    made.take(0, 2, b"across", 0.0)
-    made.take(0, 1, b"within", 0.0)
+    made.forward(0, 2, b"across", 0.0)
+    made.forward(0, 1, b"within", 0.0)
     assert made.due(1.0) == [(2, b"before"), (1, b"within")]
     made.change(whole)
-    made.take(0, 2, b"healed", 1.0)
+    made.forward(0, 2, b"healed", 1.0)
     assert made.due(2.0) == [(2, b"healed")]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.trace.schema import Phase, Pose, Round, TraceRecord, Violation
+from koordgen.runtime.trace.schema import Phase, PoseRecord, Round, TraceRecord, Violation
 from koordgen.runtime.values.obstacles import Block
 from koordgen.runtime.values.points import Point
 from targets.sim import harness
@@ -66,9 +66,9 @@ def test_a_good_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert times == sorted(times)
     first = next(record for record in seen if isinstance(record, Round))
     assert first.round == 1 and first.t == pytest.approx(0.001, abs=1e-3)  # `late` after the tick
-    poses = [record for record in seen if isinstance(record, Pose) and record.pid == 0]
+    poses = [record for record in seen if isinstance(record, PoseRecord) and record.pid == 0]
     assert len(poses) == pytest.approx(found["steps"] / 12, abs=1), "20 poses a second, of 240 steps"
-    assert any(isinstance(record, Phase) and record.phase == "rested" for record in seen)
+    assert any(isinstance(record, Phase) and record.phase == "stopped" for record in seen)
     assert {p.name for p in (out / "plots").iterdir()} >= {"top.png", "x-t.png", "y-t.png", "separation.png"}
     page = (out / "report.html").read_text()
     assert (

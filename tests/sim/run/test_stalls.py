@@ -104,7 +104,7 @@ def test_a_robot_without_a_way_says_why(run: Path, robot: str) -> None:
 def test_commands_that_were_clamped_or_refused_are_told_of_the_whole_run(run: Path) -> None:
     warnings = {robot["name"]: [each["text"] for each in robot["warnings"]] for robot in summary(run)["robots"]}
     (refused,), (clamped,) = warnings["wing"], warnings["yoyo"]  # a stall is told once, as a stall
-    assert refused.startswith("not flown, holding instead: ") and WANTED["wing"] in refused
+    assert refused.startswith("the commanded path is not flown, holding instead: ") and WANTED["wing"] in refused
     assert clamped.startswith("Motion.target = Point(x=0.0, y=9.0, z=1.5) is outside the geofence, commanding Point(")
     assert f"yoyo at 0.00 s: {clamped}" in (run / "summary.txt").read_text()
     report.write(run / "report.html", run / "trace.jsonl")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from koordgen.runtime.trace.schema import Box
+from koordgen.runtime.trace.schema import BoxRecord
 from targets.sim.base.scenario import BadScenario, GeodeticOrigin, Robot, Scenario, Start
 from targets.sim.run.start_perturbation import scattered
 
@@ -13,7 +13,7 @@ def fleet(noise: float, wide: float = 5.0) -> Scenario:
     robots = tuple(
         Robot(f"r{pid}", pid, "car", "", "car", "drive", Start((2.0 * pid, 0.0, 0.0), 1.0)) for pid in range(2)
     )
-    fence = Box((-wide, -wide, -1.0), (wide, wide, 1.0))
+    fence = BoxRecord((-wide, -wide, -1.0), (wide, wide, 1.0))
     return Scenario(
         "app", "app.koord", "", 0.1, GeodeticOrigin(0.0, 0.0, 0.0), fence, robots, harness={"start_noise": noise}
     )

@@ -126,7 +126,7 @@ def turns(seed: int, noise: float) -> list[tuple[Point, Scan]]:
     found: list[tuple[Point, Scan]] = []
 
     def send(data: bytes) -> None:
-        assert len(data) <= 1200 and feed.take(data, 0.0)
+        assert len(data) <= 1200 and feed.receive(data, 0.0)
         found.append(feed.recent(0.0)[-1])
 
     seeing._port.send = send  # type: ignore[method-assign]
@@ -170,7 +170,7 @@ def room() -> Scenario:
     settings = {"scans": "", "drive": "", "position": ""}
     start = Start((-1.5, 0.2, 0.0), 0.4)
     robot = Robot("alice", 0, "car", "agents/alice", "car", "drive", start, settings)
-    fence = schema.Box((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
+    fence = schema.BoxRecord((-4.0, -4.0, -1.0), (4.0, 4.0, 2.0))
     walls = tuple(Block(Point(*lo), Point(*hi)) for lo, hi in WALLS)
     place = scenario.GeodeticOrigin(47.0, 8.0, 400.0)
     return Scenario("map", "map.koord", "0", 0.1, place, fence, (robot,), walls, harness={"position_noise": 0.003})

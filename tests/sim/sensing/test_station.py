@@ -45,7 +45,7 @@ def test_noise_is_as_large_as_it_was_asked_for() -> None:
     body, feed = Moving(), Feed("bert", KEY)
     errors = []
     for now, datagram in run(40.0, body, BaseStation(body, context(position_noise=0.02))):
-        assert feed.take(datagram, now) and feed.pose is not None
+        assert feed.receive(datagram, now) and feed.pose is not None
         errors.append(feed.pose.position.y - 2.0)
     assert math.sqrt(sum(e * e for e in errors) / len(errors)) == pytest.approx(0.02, rel=0.1)
 
@@ -53,7 +53,7 @@ def test_noise_is_as_large_as_it_was_asked_for() -> None:
 def test_a_delay_is_kept_and_not_told() -> None:
     body, feed = Moving(), Feed("bert", KEY)
     for now, datagram in run(1.0, body, BaseStation(body, context(position_delay=0.1))):
-        assert feed.take(datagram, now) and feed.pose is not None
+        assert feed.receive(datagram, now) and feed.pose is not None
         assert feed.pose.position.x == pytest.approx(max(0.0, now - 0.1), abs=0.005)
         assert feed.time == pytest.approx(now)
 

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.trace.schema import FORMAT, End, Header, Mark, RobotName
-from targets.sim.run.run import Outcome
+from targets.sim.run.run import RunResult
 from targets.sim.run.scene import Closest
 
 Place = tuple[float, float, float]
@@ -39,8 +39,8 @@ def write(path: Path, head: Header, records: list[dict[str, Any]], marks: Sequen
     return path
 
 
-def outcome(**change: Any) -> Outcome:
-    make: Callable[..., Outcome] = Outcome
+def outcome(**change: Any) -> RunResult:
+    make: Callable[..., RunResult] = RunResult
     usual: dict[str, Any] = {
         "started": True, "ended": "completed", "zero": 0.0, "duration": 10.0, "marks": [],
         "closest": Closest(0.8, 4.0, (0, 1)), "real_time_factor": 0.998, "late_steps": 3, "steps": 2400,

@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 from PIL import Image
 
 from koordgen.cli import main
-from koordgen.runtime.trace.schema import Box, End, Marker, MarkerList, Shared, Violation, World
+from koordgen.runtime.trace.schema import BoxRecord, End, Marker, MarkerList, SharedVariable, Violation, WorldRecord
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim.base.folder import MARKER, ForeignFolder, RunFolder
@@ -44,8 +44,8 @@ HEAD = msgspec.structs.replace(
         Cylinder(Point(2.0, -3.0, 0.0), 0.5, 2.0),
         Mesh((Point(-5, 2, 0), Point(-3, 2, 0), Point(-3, 4, 2)), ((0, 1, 2),)),
     ),
-    shared=(Shared("tasks", "allwrite", "List<Point>"), Shared("map", "allwrite", "GridMap")),
-    world=World(Box((-5.5, -4.5, 0.0), (5.5, 4.5, 3.0)), markers=(Marker("gate", (0.0, 0.0, 0.0)),),
+    shared=(SharedVariable("tasks", "allwrite", "List<Point>"), SharedVariable("map", "allwrite", "GridMap")),
+    world=WorldRecord(BoxRecord((-5.5, -4.5, 0.0), (5.5, 4.5, 3.0)), markers=(Marker("gate", (0.0, 0.0, 0.0)),),
                 marker_list=MarkerList("tasks")),
 )  # fmt: skip
 

@@ -28,9 +28,9 @@ def rows(header: Header = FLEET) -> FleetRows:
 def test_lines_and_rounds_of_overlapping_reports_are_told_once() -> None:
     fleet = rows()
     runs = [[1, 2, "event", "Go", [2.0, 3.0]], [3, 1, "skipped", "not current", [50.0]]]
-    fleet.take(0, report(lines=[[1, 0.5, 0, "info", "a"], [2, 0.1, 1, "error", "b"]], outcomes=runs), "", 10.0)
+    fleet.add_report(0, report(lines=[[1, 0.5, 0, "info", "a"], [2, 0.1, 1, "error", "b"]], outcomes=runs), "", 10.0)
     runs = [[1, 2, "event", "Go", [2.0, 3.0]], [3, 2, "skipped", "not current", [50.0, 1.0]]]
-    fleet.take(0, report(lines=[[2, 0.3, 1, "error", "b"], [3, 0.0, 5, "info", "c"]], outcomes=runs), "", 10.2)
+    fleet.add_report(0, report(lines=[[2, 0.3, 1, "error", "b"], [3, 0.0, 5, "info", "c"]], outcomes=runs), "", 10.2)
     chunk = fleet.taken(10.2)
     assert chunk["logs"] == [[0, 9.5, "info", "a"], [0, 9.9, "error", "b"], [0, 10.2, "info", "c"]]
     assert [(row[1], row[4], row[5]) for row in chunk["rounds"]] == [
@@ -41,16 +41,16 @@ def test_lines_and_rounds_of_overlapping_reports_are_told_once() -> None:
 
 def test_lines_that_came_too_fast_are_counted() -> None:
     fleet = rows()
-    fleet.take(0, report(lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
-    fleet.take(0, report(lines=[[41, 0.0, 0, "info", "z"]]), "", 2.0)
+    fleet.add_report(0, report(lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
+    fleet.add_report(0, report(lines=[[41, 0.0, 0, "info", "z"]]), "", 2.0)
     lines = [row[3] for row in fleet.taken(2.0)["logs"]]
     assert lines == ["a", "39 lines before this one arrived too fast to be shown", "z"]
 
 
 def test_an_agent_that_began_anew_counts_from_the_beginning() -> None:
     fleet = rows()
-    fleet.take(0, report(lines=[[7, 0.0, 0, "info", "a"]]), "", 1.0)
-    fleet.take(0, report(lines=[[1, 0.0, 0, "info", "again"]], boot="b"), "", 2.0)
+    fleet.add_report(0, report(lines=[[7, 0.0, 0, "info", "a"]]), "", 1.0)
+    fleet.add_report(0, report(lines=[[1, 0.0, 0, "info", "again"]], boot="b"), "", 2.0)
     chunk = fleet.taken(2.0)
     assert [row[3] for row in chunk["logs"]] == ["a", "again"]
     assert [(row[1], row[3]) for row in chunk["marks"]] == [("restart", ["alice"])]
@@ -59,7 +59,7 @@ def test_an_agent_that_began_anew_counts_from_the_beginning() -> None:
 def test_a_robot_that_falls_silent_stays_with_its_last_report() -> None:
     fleet = rows()
     fleet.miss(1, "no answer: no agent runs there", 0.5)
-    fleet.take(0, report(battery=0.5), "", 1.0)
+    fleet.add_report(0, report(battery=0.5), "", 1.0)
     fleet.miss(0, "no answer", 1.0 + FRESH / 2)
     assert "marks" not in fleet.taken(2.0), "one lost question is no silence"
     fleet.miss(0, "no answer", 1.1 + FRESH)
@@ -67,7 +67,7 @@ def test_a_robot_that_falls_silent_stays_with_its_last_report() -> None:
     alice, bert = fleet.table()
     assert (alice["silent"], alice["at"], alice["battery"], alice["note"]) == (True, 1.0, 0.5, "no answer")
     assert (bert["at"], bert["note"]) == (None, "no answer: no agent runs there")
-    fleet.take(0, report(), "", 10.0)
+    fleet.add_report(0, report(), "", 10.0)
     marks = fleet.taken(10.0)["marks"]
     assert [(row[0], row[1], row[4]) for row in marks] == [
         (2.1, "silent", "no answer"), (10.0, "answers", "was silent for 9.0 s"),
@@ -77,13 +77,13 @@ def test_a_robot_that_falls_silent_stays_with_its_last_report() -> None:
 def test_poses_are_told_once_and_silent_robots_are_no_closest_pair() -> None:
     fleet = rows()
     pose = {"position": [1, 2, 3], "yaw": None, "age": 0.25}
-    fleet.take(0, report(pose=pose), "", 1.0)
-    fleet.take(1, report(pose={"position": [1, 2, 0], "yaw": 1.5}), "", 1.0)
-    fleet.take(0, report(pose=pose | {"age": 0.5}), "", 1.25)
+    fleet.add_report(0, report(pose=pose), "", 1.0)
+    fleet.add_report(1, report(pose={"position": [1, 2, 0], "yaw": 1.5}), "", 1.0)
+    fleet.add_report(0, report(pose=pose | {"age": 0.5}), "", 1.25)
     chunk = fleet.taken(1.25)
     assert chunk["poses"] == [[0, 0.75, 1.0, 2.0, 3.0, 0.0], [1, 1.0, 1.0, 2.0, 0.0, 1.5]]
     assert chunk["near"] == [[1.25, 3.0, 0, 1]]
-    fleet.take(0, report(pose=pose | {"age": 0.0}), "", 9.0)
+    fleet.add_report(0, report(pose=pose | {"age": 0.0}), "", 9.0)
     assert "near" not in fleet.taken(9.0)
 
 
@@ -92,8 +92,8 @@ def test_properties_goals_and_writes_are_told_when_they_change() -> None:
     broken = {"counts": {}, "violated": [{"of": "invariant", "name": "Apart", "line": "a.koord:3", "why": "too near"}]}
     first = report(goal=[[1, 2, 3]], shared=[["x", "allread", 3, [1, 2]]], monitors=broken, outcomes=[])
     for t in (1.0, 2.0):
-        fleet.take(0, first, "", t)
-    fleet.take(0, report(goal=[[4, 5, 6]], shared=[["x", "allread", 4, 7]]), "", 3.0)
+        fleet.add_report(0, first, "", t)
+    fleet.add_report(0, report(goal=[[4, 5, 6]], shared=[["x", "allread", 4, 7]]), "", 3.0)
     chunk = fleet.taken(3.0)
     assert [row[2] for row in chunk["paths"]] == [((1, 2, 3),), ((4, 5, 6),)]
     assert [(row[0], row[1], row[3], row[4]) for row in chunk["shared"]] == [("x", 0, 3, [1, 2]), ("x", 0, 4, 7)]
@@ -117,7 +117,7 @@ def test_what_is_no_report_says_why(broken: Any) -> None:
 
 def test_a_report_of_an_older_agent_is_shown_as_far_as_it_goes() -> None:
     fleet = rows()
-    fleet.take(0, report(), "", 1.0)
+    fleet.add_report(0, report(), "", 1.0)
     alice = fleet.table()[0]
     assert (alice["phase"], alice["pose"], alice["battery"], alice["loss"]) == ("running", None, None, None)
     assert msgspec.json.encode(fleet.table())
@@ -134,7 +134,7 @@ def test_the_header_is_completed_by_reports_once() -> None:
 
 def test_what_silent_robots_told_survives_a_new_header() -> None:
     fleet = rows()
-    fleet.take(1, report(battery=0.3, lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
+    fleet.add_report(1, report(battery=0.3, lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
     fleet.miss(1, "no answer", 5.0)
     fleet.taken(5.0)
     fleet.renew(completed(FLEET, report(app="show")))

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.trace.schema import Init, Round, Violation
+from koordgen.runtime.trace.schema import InitRecord, Round, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import MARKER
 from targets.sim.view.web import live, serve
@@ -145,7 +145,7 @@ def test_all_that_happened_since_round_1_is_told_with_times_since_then(
     view = made(monkeypatch, f"open({str(out)!r}, 'wb').write(sys.stdin.buffer.read())")
     run = running()
     view.launched(run)
-    view.heard(run.conduct.agents[1], [Init(time=101.9), Round(1, "Go", time=102.0)])
+    view.heard(run.conduct.agents[1], [InitRecord(time=101.9), Round(1, "Go", time=102.0)])
     view.step(102.0, STATES)
     run.zero = 102.0
     for k in range(12):

@@ -123,11 +123,11 @@ class Page:
     def __init__(self) -> None:
         self.waiting: list[list[Any]] = []
         self.told: list[tuple[bool, str, bool]] = []
-        self.gone = False
+        self.is_closed = False
 
     def commands(self, wait: float = 0.0) -> list[Any]:
         if wait and not self.waiting:
-            self.gone = True  # a test that would wait for ever
+            self.is_closed = True  # a test that would wait for ever
         return self.waiting.pop(0) if self.waiting else []
 
     def report(self, state: dict[str, Any]) -> None:
@@ -218,7 +218,7 @@ def test_no_faults_before_round_1_after_the_mission_or_along_a_counterexample(tm
     run.zero = None
     assert run.gives(crash="ann") == [("faults can be injected only after round 1 has begun", True)]
     run.zero = ZERO
-    run.conduct.agents[0].told = True
+    run.conduct.agents[0].asked_to_end = True
     assert run.gives(crash="ann") == [("the mission is over", True)]
     assert Controlled(tmp_path, follows=True).gives(crash="ann") == [(FOLLOWING, True)]
 
@@ -242,20 +242,20 @@ def test_a_pause_takes_faults_and_ends_at_the_next_round_after_a_step(tmp_path: 
     assert [paused for paused, _, _ in run.page.told[-2:]] == [False, False]
     run.now += 0.25
     run.control.step(run.now, [])
-    assert not run.page.gone
+    assert not run.page.is_closed
     run.now += 0.25
     run.page.waiting = [[], [{"do": "go"}]]
     run.control.step(run.now, [])  # the round is over
-    assert any(paused for paused, _, _ in run.page.told[-3:]) and not run.page.waiting and not run.page.gone
+    assert any(paused for paused, _, _ in run.page.told[-3:]) and not run.page.waiting and not run.page.is_closed
 
 
 def test_a_pause_ends_with_the_pages_server_and_with_the_run(tmp_path: Path) -> None:
     run = Controlled(tmp_path)
     run.does({"do": "pause"})
-    assert run.page.gone, "the run goes on when nobody can tell it to"
-    run.page.gone, run.interrupted = False, True
+    assert run.page.is_closed, "the run goes on when nobody can tell it to"
+    run.page.is_closed, run.interrupted = False, True
     run.does({"do": "pause"})
-    assert not run.page.gone
+    assert not run.page.is_closed
 
 
 @pytest.mark.slow

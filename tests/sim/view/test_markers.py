@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Marker, MarkerList, Shared, World
+from koordgen.runtime.trace.schema import Header, Marker, MarkerList, SharedVariable, WorldRecord
 from targets.sim.view.data.markers import DONE, TAKEN, TO_DO, Markers
 from tests.sim.view.canned import header
 
@@ -16,9 +16,9 @@ FIRST, SECOND = [[1.0, 2.0, 0.0], 7], [[3.0, 2.0, 1.0], 8]
 def markers(**world: Any) -> Markers:
     head: Header = msgspec.structs.replace(
         header(["alice", "bert"]),
-        shared=(Shared("tasks", "allwrite", "List<Task>"), Shared("places", "allwrite", "List<Point>")),
+        shared=(SharedVariable("tasks", "allwrite", "List<Task>"), SharedVariable("places", "allwrite", "List<Point>")),
         records={"Task": (("at", "Point"), ("id", "int"))},
-        world=World(**world),
+        world=WorldRecord(**world),
     )
     return Markers(head)
 

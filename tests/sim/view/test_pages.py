@@ -67,14 +67,14 @@ def colour(selector: str) -> str:
 
 
 def test_the_report_of_a_good_run_opens_at_its_beginning_and_has_nothing_red(tmp_path: Path) -> None:
-    held = Verdict(10.0, "invariant", "Apart", "a.koord:4", "held", moments=241)
+    held = Verdict(10.0, "invariant", "Apart", "a.koord:4", "held", observations=241)
     marks: list[Mark] = [Cause(3.0, "wind", ("bert",), ""), held, End(10.0, "completed")]
     moves = moving(STARTS, ENDS)
     report.write(tmp_path / "report.html", write(tmp_path / "trace.jsonl", HEAD, moves, marks))
     with Browser(tmp_path / "profile") as page:
         page.open(f"file://{tmp_path}/report.html")
         assert page.text("time") == "0.00 s"
-        assert "HELD: invariant Apart (a.koord:4), moments: 241" in page.value(
+        assert "HELD: invariant Apart (a.koord:4), observations: 241" in page.value(
             "document.querySelector('.verdict').innerText"
         )
         assert page.value(colour(".verdict li")) == page.value(colour("#marks tr.good td")) == GREEN

@@ -15,12 +15,12 @@ from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.schema import (
     End,
     EventFault,
-    Init,
-    Metrics,
+    InitRecord,
+    MetricsRecord,
     PeerQuality,
-    Pose,
+    PoseRecord,
     Round,
-    Shared,
+    SharedVariable,
     TraceRecord,
     Verdict,
     Violation,
@@ -33,7 +33,11 @@ from tests.sim.view.canned import header, write
 
 HEAD = msgspec.structs.replace(
     header(["alice", "bert"]),
-    shared=(Shared("x", "allread", "Point"), Shared("sum", "allwrite", "int"), Shared("map", "allwrite", "GridMap")),
+    shared=(
+        SharedVariable("x", "allread", "Point"),
+        SharedVariable("sum", "allwrite", "int"),
+        SharedVariable("map", "allwrite", "GridMap"),
+    ),
 )
 
 
@@ -45,7 +49,7 @@ def rows(*records: TraceRecord) -> dict[str, list[list[Any]]]:
     made = Rows(HEAD)
     for record in records:
         assert not isinstance(record, schema.Header)
-        made.take(record, record.t)
+        made.add(record, record.t)
     made.end()
     return made.taken()
 
@@ -104,9 +108,9 @@ def test_a_lidars_newest_scan_is_a_row_once_a_second() -> None:
 
 def test_the_closest_pair_is_that_of_all_robots_once_all_are_known() -> None:
     found = rows(
-        Pose(1, (0.0, 0.0, 0.0), 0.0, t=0.0),
-        Pose(0, (3.0, 4.0, 0.0), 0.0, t=0.05),
-        Pose(1, (0.0, 0.0, 12.0), 0.0, t=0.05),
+        PoseRecord(1, (0.0, 0.0, 0.0), 0.0, t=0.0),
+        PoseRecord(0, (3.0, 4.0, 0.0), 0.0, t=0.05),
+        PoseRecord(1, (0.0, 0.0, 12.0), 0.0, t=0.05),
     )
     assert found["near"] == [[0.05, 13.0, 0, 1]]
 
@@ -117,11 +121,11 @@ def test_links_marks_and_strangers() -> None:
         "x": {},
     }
     found = rows(
-        Metrics(peers=peers, rejected={"mac": 2, "epoch": 1}, t=9.0, pid=0),
+        MetricsRecord(peers=peers, rejected={"mac": 2, "epoch": 1}, t=9.0, pid=0),
         Violation(2.0, "separation", ("alice", "bert"), "0.2 m apart"),
         End(10.0, "completed"),
         Round(1, "Go", pid=7),
-        Pose(-1, (0.0, 0.0, 0.0), 0.0),
+        PoseRecord(-1, (0.0, 0.0, 0.0), 0.0),
     )
     assert found["links"] == [[0, 9.0, [[1, 0.25, 1.5, 4, None, 2]], 3]]
     assert found["marks"] == [
@@ -133,7 +137,7 @@ def test_links_marks_and_strangers() -> None:
 
 def test_what_init_wrote_is_there_before_round_1_and_a_verdict_is_a_mark() -> None:
     found = rows(
-        Init(shared=raw(sum=3), t=-0.2, pid=0),
+        InitRecord(shared=raw(sum=3), t=-0.2, pid=0),
         Verdict(10.0, "invariant", "Safe", "a.koord:9", "violated", 2.5, ("bert",), "x was 3"),
     )
     assert found["shared"] == [["sum", 0, -0.2, 0, 3]]
@@ -205,7 +209,7 @@ def test_values_that_stay_are_told_once_and_long_ones_are_cut() -> None:
 def test_locals_are_what_events_wrote_and_what_a_robot_came_back_with() -> None:
     back = schema.Restored(4, locals=raw(n=2))
     found = rows(
-        schema.Init(locals=raw(n=0), t=-0.5, pid=1),
+        schema.InitRecord(locals=raw(n=0), t=-0.5, pid=1),
         Round(5, "Go", locals=raw(n=3), restored=back, t=0.4, pid=1),
     )
     assert found["locals"] == [[1, -0.5, 0, "n", 0], [1, 0.4, 4, "n", 2], [1, 0.4, 5, "n", 3]]
@@ -219,7 +223,7 @@ def test_locals_are_what_events_wrote_and_what_a_robot_came_back_with() -> None:
 def big(path: Path, robots: int, seconds: int) -> Path:
     """A trace as sixteen robots leave one: poses 20 times and rounds 10 times a second, all of them writing paths."""
     head = msgspec.structs.replace(
-        header([f"robot{pid}" for pid in range(robots)]), shared=(Shared("paths", "allread", "List<Point>"),)
+        header([f"robot{pid}" for pid in range(robots)]), shared=(SharedVariable("paths", "allread", "List<Point>"),)
     )
     with path.open("wb") as file:
         file.write(msgspec.json.encode(head) + b"\n")

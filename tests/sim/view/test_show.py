@@ -13,14 +13,14 @@ import pytest
 from koordgen.cli import main
 from koordgen.runtime.trace import schema
 from koordgen.runtime.trace import writer as runtime
-from koordgen.runtime.trace.schema import End, Shared, Violation
+from koordgen.runtime.trace.schema import End, SharedVariable, Violation
 from targets.sim.base.scenario import load
 from targets.sim.trace.beliefs import Beliefs
 from tests.sim.lockstep.lockstep import Plan, built, played
 from tests.sim.view.canned import header, moving, write
 
 HEAD = msgspec.structs.replace(
-    header(["ann", "bob"]), shared=(Shared("x", "allread", "int"), Shared("best", "allwrite", "float")),
+    header(["ann", "bob"]), shared=(SharedVariable("x", "allread", "int"), SharedVariable("best", "allwrite", "float")),
 )  # fmt: skip
 
 
@@ -112,7 +112,7 @@ def test_tables_have_each_change_of_what_a_robot_knew(run: Path) -> None:
 
 def test_it_is_what_the_agents_themselves_knew(tmp_path: Path) -> None:
     bundle = built(tmp_path, "atomicsum")
-    seen: list[tuple[int, runtime.Record]] = []
+    seen: list[tuple[int, runtime.RoundRecord]] = []
 
     class Watching(Plan):
         def launched(self, run: Any) -> None:
@@ -129,9 +129,9 @@ def test_it_is_what_the_agents_themselves_knew(tmp_path: Path) -> None:
     for agent in plan.run.conduct.agents:
         for line in agent.trace_file.read_bytes().splitlines()[1:]:
             record = schema.decoded(line)
-            if isinstance(record, (schema.Init, schema.Round)):
+            if isinstance(record, (schema.InitRecord, schema.Round)):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)
-                beliefs.take(own)
+                beliefs.apply(own)
                 belief = beliefs.robots[own.pid]
                 told[own.pid, belief.round] = json.loads(msgspec.json.encode([belief.locals, belief.shared]))
     compared = 0

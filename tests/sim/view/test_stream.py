@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from koordgen.runtime.trace.schema import Init, Log, Moved, Round
+from koordgen.runtime.trace.schema import InitRecord, LogLine, Moved, Round
 from koordgen.runtime.values.obstacles import Sphere
 from koordgen.runtime.values.points import Point
 from targets.sim import harness
@@ -108,7 +108,7 @@ def test_a_run_is_streamed_with_times_from_the_launch(server: FoxgloveServer, cl
     streamed, run = Streamed(HEAD, server), running()
     streamed.launched(run)
     agent = run.conduct.agents[1]
-    streamed.heard(agent, [Init(time=101.9), Round(1, "Go", time=102.0), Log("info", "hello", time=102.0)])
+    streamed.heard(agent, [InitRecord(time=101.9), Round(1, "Go", time=102.0), LogLine("info", "hello", time=102.0)])
     streamed.step(102.0, STATES)
     client.until("/log", "/tf", "/scene")
     assert client.next()[0] == "/scene"

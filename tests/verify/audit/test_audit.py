@@ -109,7 +109,7 @@ def test_an_assumption_is_unknown_while_a_robot_may_have_broken_it(
     assert status == 4 and row.split()[0] == "unknown", told
     records = [json.loads(line) for line in whole.splitlines()]
     middle = [r["time"] for r in records if r["kind"] == "round"][4]
-    rest = {"kind": "phase", "time": middle, "phase": "resting", "detail": "landing"}
+    rest = {"kind": "phase", "time": middle, "phase": "stopping", "detail": "landing"}
     kept = [r for r in records if r.get("time", 0.0) <= middle]
     path.write_text("".join(json.dumps(r) + "\n" for r in [*kept, rest]))
     motion = by_name(audited(home)[1])["Motion"]

@@ -54,16 +54,16 @@ PROVED         (well-defined)  (1 obligation, T)
 
 assumed:
   - port assumption: Motion: Motion.position' in Rect(Motion.position, Motion.target) (app.koord:7);
-    checked: the simulator watches it in each run (`koordgen docs sim`)
+    checked: the simulator checks the assumption in each run (`koordgen docs sim`)
   - initially: forall i in ID: Motion.position[i] in Rect(lo, hi) (app.koord:20); checked: the
-    simulator watches it in each run (`koordgen docs sim`)
+    simulator checks the assumption in each run (`koordgen docs sim`)
   - start: every robot's init has a result: otherwise no mission begins (app.koord:12); checked:
-    agents hold before round 1 until all have it, and a robot whose init is discarded ends
-    (`koordgen docs safety`)
+    agents hold until every init has a result; a robot whose init is discarded ends (`koordgen docs
+    safety`)
   - arithmetic: numbers are real numbers; robots round each result to 53 bits, and to infinity
     beyond 1.8e308; unchecked
   - arithmetic: no event compares NaN, nor keeps or sends NaN or infinity; checked: agents discard
-    an event that would; a property that compares NaN has no value (`koordgen docs proofs`)
+    such an event; a property that compares NaN has no value (`koordgen docs proofs`)
 """
     )
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.fixtures.fleet import NAMES
-from koordgen.runtime.trace.parts import Parts
+from koordgen.runtime.trace.parts import TraceFileParts
 from tests.verify.replay.runs import Run, _start
 
 
@@ -24,7 +24,7 @@ class Kept(Run):
             earlier.agent._journal._trace.close()
         folder = self.home / NAMES[pid]
         folder.mkdir(parents=True, exist_ok=True)
-        self.fleet.boot(pid, body, output=Parts(folder / "trace.jsonl", NAMES[pid], self.limit))
+        self.fleet.boot(pid, body, output=TraceFileParts(folder / "trace.jsonl", NAMES[pid], self.limit))
 
     def save(self) -> Path:
         for robot in self.fleet.robots.values():

@@ -20,14 +20,14 @@ from koordgen.cli.base import options
 from koordgen.runtime.program.program import Effects, Fault, Frame, Life
 from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.schema import FORMAT, KINDS, OLD_FORMAT, RobotHeader, Upgrade, upgraded
-from koordgen.runtime.trace.writer import Record, Trace
+from koordgen.runtime.trace.writer import RoundRecord, Trace
 from tools import trace_tables
 
 OLD = Path(__file__).parent / "old"
 OLD_TRACES = sorted(OLD.rglob("*.jsonl"))
 
 
-def written(*records: Record, **more: Any) -> list[dict[str, Any]]:
+def written(*records: RoundRecord, **more: Any) -> list[dict[str, Any]]:
     out = io.BytesIO()
     trace = Trace(out, print)
     trace.header(PROGRAM, "bert", 1, 2, 0.1)
@@ -59,11 +59,11 @@ def test_a_field_without_a_meaning_is_told(tmp_path: Path, monkeypatch: pytest.M
 def test_each_key_of_a_round_has_its_own_value() -> None:
     frame = Frame(1, 2, {"n": 1, "m": 2}, {"x": (1, 2), "sum": 3}, {}, {})
     effects = Effects({"n": 4, "m": 2}, {"sum": 5}, {"Motion.target": 6}, True, violated=(7,))
-    full = Record(
+    full = RoundRecord(
         8, 9.0, 0.00101, {"Motion.position": 10}, frame, "Go", effects, "fault", Fault("a.koord", 11, "1 / 0"),
         (("Planner.ask", (12,), 13),), Life(14, {"n": 15}, {"Motion.target": 16}, False),
     )  # fmt: skip
-    header, whole, bare = written(full, Record(17, 18.0, 0.0, {}, None, skipped="not current"), heard=19)
+    header, whole, bare = written(full, RoundRecord(17, 18.0, 0.0, {}, None, skipped="not current"), heard=19)
     assert header == {
         "kind": "header", "format": FORMAT, "app": PROGRAM.name, "applications": [PROGRAM.name], "robot": "bert",
         "pid": 1, "n_sys": 2, "delta": 0.1, "program_hash": PROGRAM.program_hash,

@@ -13,7 +13,7 @@ from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.builtins import CONSTANTS, FUNCTIONS, METHODS, UPDATES
 from koordgen.lang.ir.decl import (
     ExternFunction,
-    ExternType,
+    ExternTypeDef,
     Function,
     Import,
     Local,
@@ -127,7 +127,7 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
             return c.error("K017", f"{name} is an import, not a value", span, f"write {_MEMBERS.format(name)}")
         case Record():
             return c.error("K017", f"{name} is a record, not a value", span, f"{name}(...) makes one")
-        case ExternType():
+        case ExternTypeDef():
             return c.error("K017", f"{name} is a type, not a value", span)
         case Function() | ExternFunction() | SpecFunction():
             return c.error("K017", f"{name} is a function and must be called", span, f"write {name}(...)")

@@ -26,12 +26,12 @@ from koordgen.lang.syntax.walk import nodes
 Kind = Literal["allread", "allwrite", "local"]
 
 
-def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.ExternType, ...]:
+def extern_types(sections: Iterable[ast.ExternType], c: Context) -> tuple[decl.ExternTypeDef, ...]:
     for node in sections:
         if is_owner(node.name, node, c):
-            enter(node.name, node, decl.ExternType(node.name, node.span), c)
+            enter(node.name, node, decl.ExternTypeDef(node.name, node.span), c)
             c.types[node.name] = ExternType(node.name) if c.entities[node.name] is not None else None
-    return tuple([decl.ExternType(node.name, node.span) for node in sections])
+    return tuple([decl.ExternTypeDef(node.name, node.span) for node in sections])
 
 
 Fields = list[tuple[ast.Variable, Type]]

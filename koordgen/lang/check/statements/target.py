@@ -28,7 +28,7 @@ from koordgen.lang.ir import stmt
 from koordgen.lang.ir.builtins import UPDATES
 from koordgen.lang.ir.decl import (
     ExternFunction,
-    ExternType,
+    ExternTypeDef,
     Function,
     Import,
     Local,
@@ -124,7 +124,7 @@ def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
             c.error("K022", f"{name} is a module and cannot be assigned", span)
         case Function() | ExternFunction() | SpecFunction():
             c.error("K022", f"{name} is a function and cannot be assigned", span)
-        case Record() | ExternType():
+        case Record() | ExternTypeDef():
             c.error("K022", f"{name} is a type and cannot be assigned", span)
     return None
 

@@ -1,7 +1,7 @@
 """Builtin functions of Koord as SMT terms.
 
-A builtin that the logic can express becomes its definition. Any other becomes an uninterpreted function, about which
-some facts are added.
+A builtin that the logic can express is replaced by its definition. Every other builtin becomes an uninterpreted
+function, and the encoder adds some facts about it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LISTS = ("sorted", "reversed", "keys", "values", "items", "union", "intersectio
 
 
 def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """Return a builtin applied to evaluated arguments."""
+    """Return the value of a builtin function that is applied to `args`, its encoded arguments."""
     name, line = node.name, node.span.line
     if name in _MADE:
         return args
@@ -63,7 +63,7 @@ def builtin(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
             return _length(e, node, args[0])
         case "first" | "last":
             xs = path_of(args[0])
-            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"{name} of a nonempty collection", line)
+            e.context.demand(t.less(_ZERO, e.lists.length(xs)), f"the collection for {name} is not empty", line)
             return _end(e, xs, name == "first")
         case "index":
             e.context.demand(e.lists.has(path_of(args[0]), args[1]), "the item of `index` is in the list", line)
@@ -90,15 +90,15 @@ def _end(e: ExprEncoder, xs: Collection, first: bool) -> Val:
 
 
 def _opaque(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
-    """# SOUND: encode a builtin as an uninterpreted function of its arguments.
+    """Encode a builtin as an uninterpreted function of its arguments.
 
-    The only fact assumed about such a function is that equal arguments give equal results."""
+    # SOUND: the only fact assumed about such a function is that equal arguments give equal results."""
     if node.name in ("asin", "acos", "log"):
         x, one = as_term(args[0]), t.real(1)
         inside = t.less(t.real(0), x) if node.name == "log" else t.and_(t.at_most(t.negate(one), x), t.at_most(x, one))
-        e.context.demand(inside, f"{node.name} within its domain", node.span.line)
+        e.context.demand(inside, f"the argument of {node.name} is in its domain", node.span.line)
     elif node.name in ("tan", "exp", "cell"):
-        e.context.note(f"{node.name}: its result may be any value; the proof does not show that it has one")
+        e.context.note(f"{node.name}: the proof allows any result, and does not show that a result exists")
     return e.apply(node.name, f"{node.name}@", args, node.type)
 
 
@@ -115,7 +115,7 @@ def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
                 t.and_(t.at_most(_ZERO, index), t.at_most(index, e.lists.length(xs))), "index in range", line
             )
         case "popped":
-            context.demand(t.less(_ZERO, e.lists.length(xs)), "pop of a nonempty list", line)
+            context.demand(t.less(_ZERO, e.lists.length(xs)), "the popped list is not empty", line)
         case "removed" | "set_without" | "map_without":
             context.demand(e.lists.has(xs, args[1]), "the removed item is present", line)
         case "cleared":
@@ -126,7 +126,7 @@ def _updated(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
 
 
 def _clear(e: ExprEncoder, args: tuple[Val, ...]) -> Val:
-    """Return whether a path keeps more than eps metres away from each of several other paths."""
+    """Return the term "the path is more than `eps` metres away from each of the other paths"."""
     path, others, eps = path_of(args[0]), path_of(args[1]), as_term(args[2])
 
     def far(other: Val) -> Term:
@@ -147,7 +147,7 @@ def _whole(name: str, x: Term) -> Term:
         return t.to_int(x)
     if name == "ceil":
         return t.negate(t.to_int(t.negate(x)))
-    below = t.to_int(x)  # Python rounds halves to the even neighbour, so the encoding does, too.
+    below = t.to_int(x)  # Python rounds a half to the even neighbour, and the encoding must agree.
     part = t.subtract(x, t.to_real(below))
     half = t.real(0.5)
     even = t.equals(t.remainder(below, t.integer(2)), _ZERO)
@@ -157,7 +157,7 @@ def _whole(name: str, x: Term) -> Term:
 
 def _root(e: ExprEncoder, x: Term, line: int) -> Term:
     zero = t.real(0)
-    e.context.demand(t.at_most(zero, x), "sqrt of a number >= 0", line)
+    e.context.demand(t.at_most(zero, x), "the argument of sqrt is not negative", line)
     found = t.apply(t.FunctionSymbol("sqrt@", (t.REAL,), t.REAL), x)
     square = t.and_(t.at_most(zero, found), t.equals(t.multiply(found, found), x))
     e.context.fact(t.implies(t.at_most(zero, x), square), "sqrt", line)
@@ -184,13 +184,13 @@ def _looked_up(e: ExprEncoder, node: ir.Builtin, args: tuple[Val, ...]) -> Val:
     assert isinstance(node.args[0].type, MapOf)
     held = e.lists.has(xs, key)
     if node.name == "map_at":
-        e.context.demand(held, "the map has that key", node.span.line)
+        e.context.demand(held, "the map has the key", node.span.line)
         return e.lists.value(xs, key)
     return pick(held, e.lists.value(xs, key), args[2])
 
 
-# Sums over all robots. If one robot's value changed, the new sum is the old sum minus the robot's old value plus its
-# new value.
+# Sums over all robots. After a change of one robot's value, the new sum is the old sum, minus the robot's old value,
+# plus the robot's new value.
 
 
 def sum_over_robots(
@@ -198,11 +198,12 @@ def sum_over_robots(
 ) -> Term:
     """Return the sum of `part` over all robots.
 
-    If the number of robots is unknown, the sum is an uninterpreted function of the fleet's values with these facts:
+    If the number of robots is unknown, the sum is an uninterpreted function of all robots' values. These facts are
+    known:
 
-    - The sum is zero if all parts are zero, and not negative if no part is negative.
-    - The sum is at most N_SYS if no part is above one, and at least N_SYS if no part is below one.
-    - Each robot's count is its own part plus the count of all other robots, which is at least 0 and below N_SYS."""
+    - The sum is zero if all parts are zero. The sum is not negative if no part is negative.
+    - The sum is at most N_SYS if no part is above one. The sum is at least N_SYS if no part is below one.
+    - For `count`: the sum without one robot's part is at least 0 and below N_SYS."""
     context = e.context
     found: Term = zero
     if context.robots is not None:

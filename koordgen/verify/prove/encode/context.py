@@ -1,7 +1,7 @@
-"""Proof context: facts, demands and universal formulas, gathered while a part of a program is encoded.
+"""Proof context: facts, demands and universal formulas, gathered while a program part is encoded.
 
-The symbol of a variable has the variable's name in the program. Every other symbol contains an `@`, which no name in a
-program can contain, so symbols never collide.
+A demand is a condition under which an operation has a value. A variable keeps its name from the program as its symbol.
+Every other symbol contains an `@`. No name in a program contains an `@`, so symbols never collide.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import LabelledFormula
 from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Sort, Term
 
-# Names that SMT-LIB itself defines. A program's variable of such a name needs another symbol.
+# Names that SMT-LIB defines. A program's variable with one of these names gets another symbol.
 _RESERVED = frozenset(
     (
         *(
@@ -40,12 +40,12 @@ _RESERVED = frozenset(
     )
 )
 _ZERO = t.integer(0)
-# Limit of the passes of `instantiate` after which terms from new instances are no longer instantiated in turn.
+# Number of passes of `instantiate` that register the terms of new instances. Later passes register no new terms.
 GENERATIONS = 1
 
 
 def symbol(name: str) -> str:
-    """Return the symbol for a name of the program: the name itself, or with an `@` if SMT-LIB reserves it."""
+    """Return the SMT symbol for a name of the program: the name, plus an `@` if SMT-LIB reserves it."""
     return f"{name}@" if name in _RESERVED else name
 
 
@@ -58,7 +58,7 @@ def symbols(name: str, args: tuple[Term, ...], type_: Type) -> list[FunctionSymb
 class Universal:
     """Universal formula: a formula that holds for every int of a domain.
 
-    `instance`: returns the formula for one int, including the condition that the int is in the domain.
+    `instance`: returns the formula for one int. The formula includes the condition that the int is in the domain.
     `robots`: whether the ints may be pids of robots.
     `places`: whether the ints may be positions in lists.
     `inner`: whether the formula arose in an instance of another universal formula.
@@ -77,45 +77,47 @@ class Universal:
 class ProofContext:
     """Proof context of one part of a program.
 
-    `robots`: the number of robots if robots are named by numbers (`unrolled`); None otherwise.
-    `size`: the term of N_SYS; a literal if the number of robots is known. If `unrolled`, universal formulas over robots
-        are instantiated at each robot's number, otherwise at the terms that name robots."""
+    `robots`: the number of robots if `unrolled`, that is, if each robot is named by its number; None otherwise.
+    `size`: the term of N_SYS, the number of robots. It is a literal if the number is known.
+
+    Universal formulas over robots are instantiated at each robot's number if `unrolled`. Otherwise they are
+    instantiated at the terms that name robots."""
 
     def __init__(self, program: Program, robots: int | None, unrolled: bool) -> None:
         self.program, self.robots = program, robots if unrolled else None
         self.size = t.constant("N_SYS", t.INT) if robots is None else t.integer(robots)
         self.facts: list[LabelledFormula] = []
-        self.seen: dict[Term, int] = {}  # term of a fact -> the least position from which on the fact is known
+        self.seen: dict[Term, int] = {}  # term of a fact -> the first position from which the fact is known
         self.demands: list[LabelledFormula] = []  # conditions under which all operations encoded so far have values
         self.notes: dict[str, None] = {}
         self.path: tuple[Term, ...] = ()
-        self.indices: dict[Term, bool] = {}  # terms that may name robots -> whether each is known to name one
-        # the terms of `indices` that are witnesses or come from instances of universal formulas
+        self.indices: dict[Term, bool] = {}  # term that may name a robot -> whether it surely names a robot.
+        # The terms of `indices` that are witnesses, or that arose in instances of universal formulas.
         self.witnesses: dict[Term, None] = {}
         self.ignored: set[Term] = set()  # terms at which universal formulas are never instantiated
         self.places: dict[Term, None] = {}  # terms that denote positions in lists
         self.universals: list[Universal] = []
         self.own: Term | None = None  # pid of the robot that runs the event
-        self.others: set[Term] = set()  # terms that do not denote the acting robot: they denote another robot, or none
-        self.known: dict[Term, Term] = {}  # application of a symbol -> the value that the event's guard gives it
+        self.others: set[Term] = set()  # terms that never equal `own`: each names another robot, or no robot
+        self.known: dict[Term, Term] = {}  # variable as a term -> the value that the event's guard gives it
         self.instantiating = False
         self.passes = 0
-        self.position = 0  # number of loop heads and loop ends encoded so far in this event
-        self.known_from = 0  # position from which on newly added facts are known
-        self.absent: dict[tuple[object, ...], Term] = {}  # item -> the term "no robot has this item"
-        # int terms that the current quantifier ranges over, so that each is a robot's pid
+        self.position = 0  # number of loop heads and loop ends encoded in this event
+        self.known_from = 0  # position from which on a new fact is known
+        self.absent: dict[tuple[object, ...], Term] = {}  # item -> the term "no robot has this item".
+        # Int terms over which the current quantifier ranges. Each term is a robot's pid.
         self.granted: set[Term] = set()
-        self.folds: set[Term] = set()  # sums over all robots about which facts were added already
+        self.folds: set[Term] = set()  # sums over all robots whose facts have been added
         self.texts: dict[str, Term] = {}  # text of a string literal -> its constant
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
-        self.label, self.line = "", 0  # label and line for the facts that are added next
+        self.label, self.line = "", 0  # default label and line of a new fact
         if robots is None:
             self.fact(t.at_most(t.integer(1), self.size), "the fleet has at least one robot", 0)
         if robots is not None and unrolled:
             self.indices = {t.integer(i): True for i in range(robots)}
 
-    # Facts and demands
+    # Recording of facts and demands
 
     def fact(self, formula: Term, label: str = "", line: int = 0) -> None:
         """Add a formula that holds in every model, known from the position `known_from` on.
@@ -129,21 +131,22 @@ class ProofContext:
     def fact_if_reached(self, formula: Term, label: str = "", line: int = 0) -> None:
         """Add a formula that holds if a run reaches the current program point.
 
-        The fact is known from the current position in the event on."""
+        Goals at the current position of the event and later may use this fact."""
         with self.known_at(self.position):
             self.fact(t.implies(self.reached(), formula), label, line)
 
     def reached(self) -> Term:
         """Return the condition that a run reaches the current program point.
 
-        The run must take the path to this point, and every operation before it must have a value. Without the second
-        condition, a fact at this point could prove that an earlier operation has a value, which would be circular."""
+        The run must take the path to this point, and every earlier operation must have a value. Without the second
+        condition, a fact at this point could prove that an earlier operation has a value. Such a proof would be
+        circular."""
         return t.all_of([*self.path, *[demand.term for demand in self.demands]])
 
     def demand(self, formula: Term, label: str, line: int) -> None:
         """Demand a condition under which an operation at the current program point has a value.
 
-        If an operation has no value, the semantics discards the whole event."""
+        The semantics discards an event as a whole if one of its operations has no value."""
         if formula is not t.TRUE:
             self.demands.append(
                 LabelledFormula(label, t.implies(t.all_of(self.path), formula), self.program.path, line)
@@ -151,7 +154,7 @@ class ProofContext:
 
     @contextmanager
     def known_at(self, position: int) -> Iterator[None]:
-        """Within this block, record new facts as known from this position of the event on."""
+        """Within a `with` block, record new facts as known from `position` of the event on."""
         kept, self.known_from = self.known_from, position
         try:
             yield
@@ -160,7 +163,9 @@ class ProofContext:
 
     @contextmanager
     def outermost(self) -> Iterator[None]:
-        """Within this block, encode with an empty path condition, for terms that hold at every program point."""
+        """Within a `with` block, encode with an empty path condition.
+
+        The terms that are encoded in the block hold at every program point."""
         kept, self.path = self.path, ()
         try:
             yield
@@ -169,7 +174,7 @@ class ProofContext:
 
     @contextmanager
     def under(self, *conditions: Term) -> Iterator[None]:
-        """Within this block, extend the path condition by `conditions`."""
+        """Within a `with` block, extend the path condition by `conditions`."""
         kept, self.path = self.path, (*self.path, *conditions)
         try:
             yield
@@ -178,7 +183,7 @@ class ProofContext:
 
     @contextmanager
     def grant(self, robot: object) -> Iterator[None]:
-        """Within this block, treat an int as the pid of a robot, without a demand that it is one."""
+        """Within a `with` block, treat the int `robot` as the pid of a robot, without a demand for a proof."""
         new = isinstance(robot, (LiteralTerm, Apply, Op)) and robot not in self.granted
         if new:
             self.granted.add(robot)  # type: ignore[arg-type]
@@ -198,7 +203,7 @@ class ProofContext:
 
     @contextmanager
     def separate_demands(self) -> Iterator[list[LabelledFormula]]:
-        """Within this block, collect new demands in a separate list."""
+        """Within a `with` block, collect new demands in a separate list."""
         kept, self.demands = self.demands, []
         try:
             yield self.demands
@@ -208,7 +213,7 @@ class ProofContext:
     def note(self, text: str) -> None:
         self.notes[text] = None
 
-    # Symbols
+    # Creation of symbols
 
     def new(self, hint: str, sort: Sort) -> Term:
         """Return a new constant about which no fact is known."""
@@ -232,7 +237,7 @@ class ProofContext:
         return build(type_, iter(leaves))
 
     def learn(self, formula: Term) -> None:
-        """Replace variables by the values that a formula gives them, in all terms that are built from now on."""
+        """Learn from a formula the values of variables, and use the values in all terms that are built later."""
         for part in formula.args if isinstance(formula, Op) and formula.name == "and" else (formula,):
             match part:
                 case Apply():
@@ -245,12 +250,12 @@ class ProofContext:
                     pass
 
     def version(self, value: Val) -> int:
-        """Return a number that identifies a value: different values have different numbers.
+        """Return a number that identifies a value. Different values have different numbers.
 
-        The context keeps the value alive, so that Python does not reuse its id."""
+        The context keeps the value alive, so that Python does not reuse the value's id."""
         return self.versions.setdefault(id(value), (len(self.versions), value))[0]
 
-    # Robots
+    # Terms that name robots
 
     def within(self, index: Term) -> Term:
         """Return the term "`index` is the pid of a robot"."""
@@ -259,10 +264,11 @@ class ProofContext:
     def robot(self, index: Term, known: bool = False, witness: bool = False) -> None:
         """Register a term at which universal formulas over robots are instantiated.
 
-        `known`: the term certainly is the pid of a robot."""
+        `known`: the term surely is the pid of a robot.
+        `witness`: the term is the witness of a quantifier."""
         if self.robots is None and index not in self.ignored and (known or index not in self.indices):
             if self.instantiating and self.passes > GENERATIONS:
-                return  # without this limit, instances would create new terms and those new instances, without end
+                return  # Without this limit, instances would create new terms and the terms new instances, without end.
             self.indices[index] = known
             if witness or self.instantiating:
                 self.witnesses[index] = None
@@ -275,14 +281,14 @@ class ProofContext:
             self.places[place] = None
 
     def acting(self, name: str) -> Term:
-        """Introduce the acting robot, and return its pid."""
+        """Create the pid of the acting robot (the robot that runs the event), and return it."""
         self.own = self.some_robot(name)
         return self.own
 
     def another(self, name: str) -> Term:
-        """Return the pid of an arbitrary robot other than the acting one.
+        """Return the pid of an arbitrary robot other than the acting robot.
 
-        If the fleet has no other robot, the term is the pid of no robot."""
+        In a fleet of one robot, the returned term is the pid of no robot."""
         assert self.own is not None
         index = t.constant(name, t.INT)
         self.fact(t.not_(t.equals(index, self.own)), "another robot")
@@ -304,7 +310,9 @@ class ProofContext:
     def for_all(
         self, instance: Callable[[Term], Term], robots: bool = True, places: bool = False, inner: bool = False
     ) -> None:
-        """Add a universal formula. `instance` returns it for one int, with the domain's bounds as a condition."""
+        """Add a universal formula.
+
+        `instance` returns the formula for one int, with the domain's bounds as a condition."""
         inner = inner or self.instantiating
         known_from = self.known_from
         self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
@@ -312,8 +320,8 @@ class ProofContext:
     def instantiate(self) -> None:
         """Instantiate universal formulas at every registered term, until no new term or formula appears.
 
-        Universal formulas inside other universal formulas are not instantiated at witnesses: the pairs of robots would
-        be too many for the solver."""
+        A universal formula inside another universal formula is not instantiated at witnesses. Otherwise the number of
+        pairs of robots would be too large for the solver."""
         self.instantiating = True
         while True:
             self.passes += 1

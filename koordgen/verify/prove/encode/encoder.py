@@ -1,7 +1,7 @@
 """Interfaces of the expression encoder.
 
-`Scope` gives values to the names in an expression. `ExprEncoder` is the encoder as the modules for builtins, sums and
-quantifiers call it.
+`Scope` gives values to the names in an expression. `ExprEncoder` lists the encoder's methods that the modules for
+builtins, sums and quantifiers call.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Scope(Protocol):
 
 
 class ExprEncoder(Protocol):
-    """Encoder of expressions, as the modules for builtins, sums and quantifiers call it.
+    """Interface of the expression encoder for the modules of builtins, sums and quantifiers.
 
     `strict`: whether a quantifier demands that all its instances have values."""
 

@@ -1,6 +1,6 @@
 """Koord expressions as SMT terms.
 
-The values of variables come from a `Scope`. Each condition under which an expression has a value becomes a demand.
+A `Scope` gives the values of variables. Each condition under which an expression has a value becomes a demand.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE, _HALF = t.integer(0), t.integer(1), t.real(0.5)
-_EXPANDED = 8  # longest list whose elements are encoded one by one
+_EXPANDED = 8  # longest list whose elements are encoded separately
 
 
 Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
@@ -40,7 +40,7 @@ Call = Callable[[str, tuple[Val, ...], ir.Expr], Val]
 class Encoder:
     """Encoder of expressions in one proof context.
 
-    `params`: the values of the program's params.
+    `params`: the values of the program's params (constants that the build sets).
     `call`: encodes a call of a `fun`, an extern function or a spec function."""
 
     def __init__(
@@ -49,10 +49,10 @@ class Encoder:
         self.context, self.params, self.call = context, params, call
         self.lists = Lists(context)
         self.geometry = Geometry(context, self.lists)
-        # Function -> arguments of its calls. Axioms, which hold for all values, are instantiated at these arguments.
+        # Function -> arguments of its calls. An axiom holds for all values, and is instantiated at these arguments.
         self.calls: dict[str, list[tuple[Val, ...]]] = {}
-        # Whether a quantifier demands that all its instances have values. False for formulas that are assumed: these
-        # have values.
+        # Whether a quantifier demands that all its instances have values. Assumed formulas have values, so the flag is
+        # False for them.
         self.strict = False
         self.called_on: set[tuple[object, ...]] = set()
 
@@ -64,7 +64,7 @@ class Encoder:
         return as_term(self.value(node, scope))
 
     def apply(self, name: str, symbol: str, args: tuple[Val, ...], type_: Type) -> Val:
-        """Encode a call of a function about which only contracts and axioms are known.
+        """Encode a call of a function that is known only by its contract or its axioms.
 
         The call becomes an uninterpreted function of the arguments."""
         leaves = tuple([leaf for arg in args for leaf in self.lists.leaves(arg)])
@@ -73,7 +73,7 @@ class Encoder:
             self.calls.setdefault(name, []).append(args)
         return self.context.function(symbol, leaves, type_)
 
-    # Reads
+    # Encoding of reads
 
     def const(self, node: ir.Const, scope: Scope) -> Val:
         if isinstance(node.value, bool):
@@ -85,7 +85,7 @@ class Encoder:
         return self.text(node.value, node.type)
 
     def text(self, text: str, type_: Type) -> Val:
-        """Encode a string literal as a constant that differs from the constants of all other literals."""
+        """Encode a string literal as a constant. The constants of different literals differ."""
         texts = self.context.texts
         if text not in texts:
             shown = "".join([c if c.isalnum() else "_" for c in text if c.isascii()])
@@ -138,7 +138,7 @@ class Encoder:
             self.context.robot(index)
         return index
 
-    # Operators
+    # Encoding of operators
 
     def widen(self, node: ir.Widen, scope: Scope) -> Val:
         return t.to_real(self.term(node.operand, scope))
@@ -182,10 +182,10 @@ class Encoder:
     def by_unknown(self, op: str, a: Term, b: Term) -> Term:
         """Encode `//` or `%` by a divisor that is not a literal, as an uninterpreted function with facts.
 
-        SOUND: for a positive divisor d, the facts determine the result for dividends from 0 to 2 d - 1, which suffices
-        for steps around a ring. For all other dividends they give bounds of the remainder only."""
+        SOUND: the facts are true. For a positive divisor d, they determine the result for dividends from 0 to 2 d - 1.
+        This range suffices for steps around a ring. For all other dividends, the facts only bound the remainder."""
         self.context.note(
-            "// and % by a divisor that is no literal: exact for 0 <= dividend < 2 * divisor; otherwise only bounds"
+            "// and % by a divisor that is not a literal: exact for 0 <= dividend < 2 * divisor, otherwise only bounded"
         )
         quotient, rest = (t.apply(t.FunctionSymbol(f"{name}@", (t.INT, t.INT), t.INT), a, b) for name in ("div", "mod"))
         positive, negative = t.less(_ZERO, b), t.less(b, _ZERO)
@@ -228,7 +228,7 @@ class Encoder:
                 return t.at_most(b, a)
 
     def contains(self, node: ir.Contains, scope: Scope) -> Val:
-        """Return whether a Rect, Ball, string, fleet or collection contains an item."""
+        """Return the term "the Rect, Ball, string, fleet or collection contains the item"."""
         item, held = self.value(node.item, scope), self.value(node.values, scope)
         match str(node.values.type):
             case "Rect":
@@ -265,7 +265,7 @@ class Encoder:
             orelse = self.value(node.orelse, scope)
         return pick(condition, then, orelse)
 
-    # Records, tuples and collections
+    # Encoding of records, tuples and collections
 
     def make(self, node: ir.Make, scope: Scope) -> Val:
         items = tuple([self.value(item, scope) for item in node.items])
@@ -321,7 +321,7 @@ class Encoder:
         args = tuple([b for b in bounds if b is not None])
         return self.context.function(name, (*self.lists.leaves(whole), *args), node.type)
 
-    # Calls
+    # Encoding of calls
 
     def called(self, node: ir.Call | ir.ExternCall, scope: Scope) -> Val:
         return self.call(node.name, tuple([self.value(arg, scope) for arg in node.args]), node)
@@ -337,12 +337,11 @@ class Encoder:
         return t.and_(*self.parts(node, scope))
 
     def parts(self, node: ir.Expr, scope: Scope) -> tuple[Term, Term]:
-        """Return two terms: the formula has a value; and the formula is true, provided that it has a value."""
+        """Return the terms "the formula has a value" and "the formula is true, if it has a value"."""
         context = self.context
         kept = context.path, context.demands
-        # This does what `outermost` and `separate_demands` of the context do. It is inlined for speed, since each
-        # instance of a
-        # quantifier is encoded here.
+        # These lines do the work of the context's `outermost` and `separate_demands`. The code is inlined for speed,
+        # because it runs for each instance of a quantifier.
         context.path, context.demands = (), []
         try:
             formula = self.term(node, scope)

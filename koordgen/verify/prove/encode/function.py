@@ -1,6 +1,6 @@
-"""Calls of functions: a `fun` is executed symbolically.
+"""Calls of functions: the encoder executes a `fun` symbolically.
 
-An extern function is known by its contract only, a spec function by its axioms only.
+An extern function is known only by its contract, a spec function only by its axioms.
 """
 
 from __future__ import annotations
@@ -31,14 +31,15 @@ from koordgen.verify.prove.smt.term import Term
 class Functions:
     """Functions of a program in one proof context.
 
-    `know`: receives the head of each loop that is cut, and adds the facts that hold at the head.
-    `brief`: add no facts about the results of functions with such loops; most proofs do not need these facts."""
+    `assume_at_head`: receives the head of each loop with the encoding "cut", and adds the facts at the head.
+    `brief`: True to add no facts about the results of functions with such loops. Most proofs do not need these
+    facts."""
 
     def __init__(
-        self, context: ProofContext, params: dict[str, Val], know: Callable[[LoopHead], None], brief: bool
+        self, context: ProofContext, params: dict[str, Val], assume_at_head: Callable[[LoopHead], None], brief: bool
     ) -> None:
         program = context.program
-        self.context, self.know, self.brief = context, know, brief
+        self.context, self.assume_at_head, self.brief = context, assume_at_head, brief
         self.functions = {f.name: f for f in program.functions}
         self.externs = {f.name: f for f in program.externs}
         self.runs: dict[tuple[object, ...], tuple[Val, list[LabelledFormula], tuple[Val, ...]]] = {}
@@ -55,9 +56,9 @@ class Functions:
     def run(self, function: decl.Function, args: tuple[Val, ...]) -> Val:
         """Return the result of a call.
 
-        Calls with equal arguments share one symbolic execution, but each call makes the function's demands anew.
-        SOUND: sharing is safe because a function that calls no extern function adds no facts that depend on the program
-        point of the call."""
+        Calls with equal arguments share one symbolic execution, but each call repeats the function's demands.
+        SOUND: sharing is safe, because a function that calls no extern function adds no facts that depend on the
+        program point of the call."""
         if not self.is_closed(function):
             return self.result(function, args)
         context, key = self.context, (function.name, *map(_identity, args))
@@ -87,12 +88,9 @@ class Functions:
             found = left.value if found is None else pick(t.all_of(left.path[depth:]), left.value, found)
         if not frame.heads and found is not None:
             return found
-        # SOUND (over-approximation): of a loop that is cut, only the facts at its head are known. So the function's
-        # result is
-        # an arbitrary value that these facts allow, the same for equal arguments.
-        self.context.note(
-            f"{function.name}: only the invariants and facts about iterations are known of what its loops write"
-        )
+        # SOUND (over-approximation): for a loop encoded by a cut, only the facts at its head are known. So the
+        # function's result is an arbitrary value that these facts allow. Equal arguments give equal results.
+        self.context.note(f"{function.name}: the values that its loops write are known only by invariants and facts")
         result = self.encoder.apply(function.name, symbol(function.name), args, function.result)
         if found is not None and not self.brief:
             self.context.fact_if_reached(
@@ -106,16 +104,16 @@ class Functions:
         """Return a frame for the symbolic execution of a function, with its parameters set to `args`."""
         parameters = {p.name: p.type for p in function.parameters}
         types = {**parameters, **temps_of(function.block)}
-        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know, encoding)
+        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.assume_at_head, encoding)
         frame.brief = self.brief
         frame.temps = dict(zip(parameters, args, strict=True))
         return frame
 
     def extern(self, function: decl.ExternFunction, args: tuple[Val, ...], node: ir.Expr) -> Val:
-        """Encode a call of an extern function: demand what its contract requires, assume what it ensures.
+        """Encode a call of an extern function: demand its `requires`, and assume its `ensures`.
 
-        The contract's guarantees are assumed only for runs that reach the call and fulfil its requirements. The
-        semantics discards an event whose call breaks the contract."""
+        `ensures` is assumed only for runs that reach the call and fulfil `requires`. The semantics discards an event
+        whose call breaks the contract."""
         result = self.encoder.apply(function.name, symbol(function.name), args, node.type)
         required, ensured = self.contract(function, args, result)
         for formula in required:
@@ -128,11 +126,11 @@ class Functions:
     def contract(
         self, function: decl.ExternFunction, args: tuple[Val, ...], result: Val
     ) -> tuple[list[Term], list[tuple[Term, int]]]:
-        """Return the formulas that a call requires, and those that the contract then ensures.
+        """Return the formulas that a call requires, and the formulas that the contract ensures.
 
-        Each ensured formula comes with its line in the program."""
+        Each ensured formula is paired with its line in the program."""
         types = {p.name: p.type for p in function.parameters}
-        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.know)
+        frame = SymbolicFrame(self.encoder, t.integer(-1), None, None, _nothing, types, self.assume_at_head)
         frame.temps = dict(zip(types, args, strict=True))
         required = [self.encoder.defined(formula, frame) for formula in function.requires]
         frame.temps["result"] = result
@@ -155,4 +153,4 @@ def _identity(value: Val) -> object:
 
 
 def _nothing(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-    raise AssertionError("a function calls no port")
+    raise AssertionError("a function calls a port")

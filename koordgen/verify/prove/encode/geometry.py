@@ -1,14 +1,14 @@
 """Distances of points and paths: uninterpreted functions, with lemmas about robots' computations.
 
-The model of a path consists of its length, its first point and its last point.
+A path is modelled by its length, its first point and its last point.
 
-Facts about squares of distances are added only if coordinates occur in other arithmetic (`measured`), or on request
-(`exact`). They make an obligation nonlinear; all other facts are linear.
+Facts about squares of distances make an obligation nonlinear. They are added only if coordinates occur in other
+arithmetic (`measured`), or on request (`exact`). All other facts are linear.
 
-With `brief`, fewer facts are added, which suffice for most proofs. A distance that a lemma introduces then gets no
-lemmas of its own, except lemmas that relate it to distances that exist already. No fact states that a distance is
-symmetric: instead, the two arguments are always written in one order. That order is a heuristic. Two pairs that are
-equal in a model, but were not known to be equal when they were written, may be written in different orders.
+With `brief`, fewer facts are added. They suffice for most proofs. A distance that a lemma introduces then gets no
+lemmas of its own, except lemmas that relate it to existing distances. No fact states that a distance is symmetric.
+Instead, the two arguments are always written in one order. The order is a heuristic: two pairs that are equal in a
+model may be written in different orders, if their equality was unknown when they were written.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
 _ZERO, _ONE, _NOTHING = t.integer(0), t.integer(1), t.real(0)
-DISTANCES = "distances of points: never negative, zero between equal points only, squares of coordinates where needed"
+DISTANCES = "distance of points: never negative; zero between equal points only; squares of coordinates where needed"
 PATHS = (
     "path_distance: symmetric; never negative; the distance of the points if both paths have one point; not above the "
     "distance of an end of the path; changes by at most d if a path of one point moves by d; not above the "
@@ -36,16 +36,16 @@ class Geometry:
     def __init__(self, context: ProofContext, lists: Lists) -> None:
         self.context, self.lists = context, lists
         self.distances: dict[tuple[Triple, Triple], Term] = {}
-        # point -> other point -> their distance, for the pairs whose distance the program itself computes
+        # point -> other point -> the distance of both, for pairs whose distance the program computes
         self.neighbours: dict[Triple, dict[Triple, Term]] = {}
-        # pair of paths -> their distance, stored for both orders of the pair
+        # (path, other path) -> the distance of both, stored for both orders of the pair
         self.paths: dict[tuple[Term, Term], Term] = {}
-        self.points: dict[Term, Triple] = {}  # path that has exactly one point -> this point
-        self.given: set[Term] = set()  # paths whose distance the program itself computes
+        self.points: dict[Term, Triple] = {}  # path with exactly one point -> the point
+        self.given: set[Term] = set()  # paths whose distance the program computes
         self.singles: dict[Triple, Term] = {}
-        # pairs of paths with lemmas, and the number of known neighbours and single points when these were added
+        # (path, other path, number of known neighbours and single points at that time) of each pair that has lemmas
         self.done: set[tuple[Term, Term, int]] = set()
-        # term of a path that is not known to have exactly one point -> the path
+        # term of a path -> the path, for paths that may have several points
         self.others: dict[Term, Collection] = {}
         self.measured = False
         self.squared: set[Term] = set()
@@ -87,12 +87,12 @@ class Geometry:
     def _ordered(self, p: Triple, q: Triple) -> tuple[Triple, Triple]:
         """Return two points in the order in which their distance is written.
 
-        With `brief`, the point that depends on the acting robot comes first. So pairs that are equal get the same term
-        more often. Any order is sound."""
+        With `brief`, the point whose robots were registered earlier comes first. So equal pairs get equal terms more
+        often. Any order is sound."""
         return (q, p) if self.brief and max(map(self._rank, q)) < max(map(self._rank, p)) else (p, q)
 
     def _rank(self, term: Term) -> int:
-        """Return the position of a term's last robot among the context's robots.
+        """Return the greatest position of a term's robots in the context's list of robots.
 
         Returns -1 for a term without a robot."""
         if isinstance(term, t.LiteralTerm):
@@ -106,7 +106,7 @@ class Geometry:
     def path_distance(self, a: Collection, b: Collection) -> Term:
         """Return the distance of two paths, in metres.
 
-        The distance from a path without points is infinite. The encoding leaves it an unknown number."""
+        The distance from a path without points is infinite. The encoding leaves this distance an unknown number."""
         for one, other in ((a, b), (b, a)):
             if isinstance(one, ConditionalCollection):
                 then, orelse = self.path_distance(one.then, other), self.path_distance(one.orelse, other)
@@ -152,7 +152,7 @@ class Geometry:
     def _from_point(self, point: Triple, q: Term) -> Term | None:
         """Return the distance of a point from a path.
 
-        Returns None if this distance does not exist yet and lemmas must not introduce further distances."""
+        Returns None if the distance does not exist yet and lemmas must not introduce further distances."""
         if q in self.points:
             met = point == self.points[q] or (point, self.points[q]) in self.distances
             return self._distance(point, self.points[q]) if met or not self.settled else None
@@ -163,12 +163,12 @@ class Geometry:
             found = self._path(_single(point), point)
         return self._apart(found, q)
 
-    # Lemmas
+    # Lemmas about distances
 
     def lemmas(self, exact: bool) -> None:
-        """Add the lemmas about the distances that occur in the context.
+        """Add the lemmas about the distances in the context.
 
-        With `exact`, add facts about the squares of all these distances."""
+        With `exact`, also add facts about the squares of these distances."""
         with self.context.about("distances of paths", 0):
             for (p, q), found in list(self.paths.items()):
                 round_ = (p, q, sum(map(len, self.neighbours.values())) + len(self.points))
@@ -185,9 +185,9 @@ class Geometry:
         self.settled = self.brief
 
     def _ends(self, p: Term, q: Term, found: Term) -> None:
-        """Add the fact that a path is at most as far from a path `q` as its first and its last point are.
+        """Bound the distance of two paths by the distances of the ends of `p` from `q`.
 
-        A path of one point is exactly as far from `q` as that point."""
+        A path of one point is exactly as far from `q` as its point."""
         path, fact = self.others[p], self.context.fact
         long = self.lists.length(path)
         some, one = t.less(_ZERO, long), t.equals(long, _ONE)
@@ -251,7 +251,7 @@ def _single(point: Triple) -> EnumeratedCollection:
 
 
 def _split(point: Triple) -> tuple[Term, tuple[Triple, Triple]] | None:
-    """Return the condition and the two alternatives of a conditional point; None for any other point."""
+    """Return the condition and both alternatives of a conditional point; None for any other point."""
     if not all(isinstance(x, t.Op) and x.name == "ite" for x in point):
         return None
     ways = [x.args for x in point if isinstance(x, t.Op)]

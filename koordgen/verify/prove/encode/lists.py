@@ -1,7 +1,7 @@
 """Lengths, elements and equality of collections, derived from how each collection was built.
 
-If the length or an element cannot be derived, it is a function of the collection's term: `List<Task>.len`,
-`List<Task>.at.id`. `Lists.term` returns the term of a collection that becomes an argument of a function.
+A length or an element that cannot be derived becomes a function of the collection's term, such as `List<Task>.len` and
+`List<Task>.at.id`. `Lists.term` returns the term of a collection that is an argument of a function.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Lists:
         self.terms: dict[Collection, Term] = {}
         self.fleets: dict[Term, FleetValue] = {}
         self.lengths: dict[Collection, Term] = {}
-        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read from it
-        # collection -> item and result of each test whether the item is in it
+        self.reads: dict[Term, list[tuple[Term, Val]]] = {}  # collection -> index and element of each read.
+        # Collection -> item and result of each test whether the collection contains the item.
         self.asked: dict[Term, list[tuple[Val, Term]]] = {}
         self.elements: dict[tuple[Collection, Term], Val] = {}
 
@@ -82,9 +82,9 @@ class Lists:
         return found
 
     def element(self, xs: Collection, index: Term) -> Val:
-        """Return `xs[index]`, or an arbitrary value if the index is out of range.
+        """Return the term `xs[index]`. If the index is out of range, the term is an arbitrary value.
 
-        The elements of a set or a map have an order that is arbitrary but fixed."""
+        The elements of a set or a map have an arbitrary but fixed order."""
         found = self.elements.get((xs, index))
         if found is None:
             plain = type(xs) is OpaqueCollection
@@ -125,7 +125,7 @@ class Lists:
                 return self._read(self.term(xs), xs.type, index)
 
     def _read(self, xs: Term, type_: Type, index: Term) -> Val:
-        """Return an element of an opaque collection. A fact states that the collection contains it."""
+        """Return an element of an opaque collection. A fact states that the collection contains the element."""
         found = self.context.function(f"{type_}.at", (xs, index), element_type(type_))
         if not isinstance(type_, PerRobot):
             self.context.element(index, robots=False, places=not _end(index))
@@ -156,7 +156,7 @@ class Lists:
         return found
 
     def place(self, xs: Collection, item: Val) -> Term:
-        """Return the position of an item's first occurrence; an arbitrary int if the item is not contained."""
+        """Return the position of an item's first occurrence; an arbitrary int if the list lacks the item."""
         found = as_term(self.context.function(f"{xs.type}.index", (self.term(xs), *self.leaves(item)), INT))
         here = t.and_(t.at_most(_ZERO, found), t.less(found, self.length(xs)))
         self.context.fact(
@@ -190,7 +190,7 @@ class Lists:
                 return self._asked(self.term(xs), xs.type, item)
 
     def value(self, xs: Collection, key: Val) -> Val:
-        """Return the value that a map holds for a key. The caller demands or tests that the map has this key."""
+        """Return the value that a map holds for a key. The caller ensures that the map has the key."""
         match xs:
             case ConditionalCollection(condition, then, orelse):
                 return pick(condition, self.value(then, key), self.value(orelse, key))
@@ -208,7 +208,7 @@ class Lists:
                 assert isinstance(xs.type, MapOf)
                 return self.context.function(f"{xs.type}.value", (self.term(xs), *self.leaves(key)), xs.type.value)
 
-    # Equality
+    # Equality of values
 
     def same(self, a: Val, b: Val) -> Term:
         """Return the term `a == b` for two values of the same type."""
@@ -239,7 +239,7 @@ class Lists:
     # Terms of collections
 
     def leaves(self, value: Val) -> tuple[Term, ...]:
-        """Return the terms that make up a value. Each collection in the value is one term."""
+        """Return the terms of a value's parts. Each collection in the value is one term."""
         if isinstance(value, tuple):
             flat: list[Term] = []
             for part in value:
@@ -251,7 +251,7 @@ class Lists:
         return (self.term(value) if isinstance(value, _COLLECTIONS) else as_term(value),)
 
     def term(self, xs: Collection) -> Term:
-        """Return the term that stands for a collection as an argument of a function."""
+        """Return the term that represents a collection as an argument of a function."""
         if isinstance(xs, OpaqueCollection):
             return xs.term
         found = self.terms.get(xs)
@@ -267,28 +267,28 @@ class Lists:
             case EnumeratedCollection(items, type_):
                 found = self._made(f"{type_}.of{len(items)}", self.leaves(items), sort)
                 if not _unordered(type_):
-                    self._tell(found, xs, [t.integer(i) for i in range(len(items))])
+                    self._add_facts(found, xs, [t.integer(i) for i in range(len(items))])
                 return found
             case UpdatedCollection(update, base, args):
                 found = self._made(f"{xs.type}.{update}", (self.term(base), *self.leaves(args)), sort)
                 places = (
                     [as_term(args[0])] if update == "updated" else [self.length(base)] if update == "appended" else []
                 )
-                self._tell(found, xs, places)
+                self._add_facts(found, xs, places)
                 return found
             case FleetValue(name):
                 return self._fleet(name, xs, sort)
             case _:
-                raise InternalError("a name is its own term")
+                raise InternalError("an opaque collection already has a term")
 
     def _made(self, name: str, args: tuple[Term, ...], sort: Sort) -> Term:
         return t.apply(t.FunctionSymbol(name, tuple([a.sort for a in args]), sort), *args)
 
-    def _tell(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
-        """Add facts about the length and some elements of a collection, when it gets a term.
+    def _add_facts(self, made: Term, xs: EnumeratedCollection | UpdatedCollection, places: list[Term]) -> None:
+        """Add facts about the length and some elements of a collection for which a new term was made.
 
-        SOUND: if the update that made the collection is undefined, for example the removal of an element from an empty
-        list, no fact is added."""
+        SOUND: no fact is added if the update that made the collection is undefined. An example is the removal of an
+        element from an empty list."""
         named = OpaqueCollection(made, xs.type)
         possible: Term = t.TRUE
         if isinstance(xs, UpdatedCollection):
@@ -304,9 +304,9 @@ class Lists:
                 self.context.fact(t.implies(t.and_(possible, there), same))
 
     def _fleet(self, name: str, xs: FleetValue, sort: Sort) -> Term:
-        """Return one term for the slots of an allread variable of all robots, in one state.
+        """Return one term for all robots' slots of an allread variable, in one state.
 
-        Two such terms are equal, or there is a robot at which their slots differ."""
+        Two such terms are equal, or some robot has different slots in both states."""
         found: Term = t.constant(f"{name}@all", sort)
         for other, fleet in self.fleets.items():
             if other is found:
@@ -315,13 +315,13 @@ class Lists:
                 apart = t.constant(f"{fleet.name}@apart@{name}", t.INT)
                 self.context.robot(apart)
                 differ = t.and_(self.context.within(apart), t.not_(self.same(fleet.slot(apart), xs.slot(apart))))
-                self.context.fact(t.or_(t.equals(other, found), differ), "equal in all robots")
+                self.context.fact(t.or_(t.equals(other, found), differ), "variables that differ do so in some robot")
         self.fleets[found] = xs
         return found
 
 
 def _end(index: Term) -> bool:
-    """Return whether a position is at a constant distance from the beginning or the end of a list."""
+    """Return whether an index has a constant distance from the beginning or the end of its list."""
     while isinstance(index, t.Op) and index.name == "+" and t.number(index.args[1]) is not None:
         index = index.args[0]
     return isinstance(index, t.LiteralTerm) or (isinstance(index, t.Apply) and index.function.name.endswith(".len"))

@@ -1,8 +1,8 @@
-"""Loops, analysed from the IR alone: how a loop is encoded, which variables it writes, which writes have known effects.
+"""Analysis of loops from the IR alone: encodings, written variables, writes with a known effect.
 
-Nothing in this module depends on the encoder, so that the obligations of a program can be counted without encoding it
+This module does not use the encoder. So the obligations of a program can be counted without encoding the program
 (`koordgen/verify/prove/obligations/count.py`). Facts about the iterations of a loop follow from the semantics of loops
-(docs/reference/semantics.md, "Loops"), so they need no obligation.
+(docs/reference/semantics.md, "Loops"), so these facts need no proof obligation.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def key_of(place: stmt.Place) -> Key:
 
 
 def key_read(node: Node) -> Key | None:
-    """Return the variable that an expression reads; None for any other expression."""
+    """Return the variable that an expression reads directly; None for any other expression."""
     match node:
         case ir.LocalRead(name):
             return "local", name
@@ -57,7 +57,7 @@ def key_read(node: Node) -> Key | None:
             return None
 
 
-# How a loop is encoded
+# Choice of a loop's encoding
 
 
 def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) -> LoopEncoding:
@@ -68,12 +68,12 @@ def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) ->
 
     The encodings are:
 
-    - "unrolled": a `for` without invariants over at most MAX_UNROLLED elements, whose number is constant in the
-      program.
+    - "unrolled": a `for` without invariants over at most MAX_UNROLLED elements. The program fixes the number of
+      elements.
     - "search": a `for` in which no iteration writes a variable that a later iteration can read. The first element at
       which the loop is left decides the result.
-    - "cut": any other loop. The variables that it writes are havocked, then constrained by the loop's invariants and
-      the facts about its iterations."""
+    - "cut": any other loop. The variables that the loop writes get arbitrary values, constrained by the loop's
+      invariants and the facts about its iterations."""
     if isinstance(loop, stmt.For) and not loop.invariants:
         many = length(loop.values, known, robots)
         if many is not None and many <= MAX_UNROLLED:
@@ -87,18 +87,18 @@ def encoding_of(loop: Loop, known: Mapping[str, ir.Expr], robots: int | None) ->
 def has_loop(block: stmt.Block) -> bool:
     """Return whether a block contains a loop.
 
-    A block with a loop is encoded even if it is unreachable. Otherwise the number of obligations would depend on which
-    code the encoder finds to be unreachable, and `count.py` could not predict it."""
+    A block with a loop is encoded even if it is unreachable. Otherwise the number of obligations would depend on the
+    code that the encoder finds unreachable, and `count.py` could not predict the number."""
     return any(isinstance(s, (stmt.For, stmt.While)) for s in statements(block))
 
 
 def is_search(loop: stmt.For) -> bool:
-    """Return whether a loop can be encoded as a search: it has no loop-carried variable and no stated invariant."""
+    """Return whether a loop can be a search: no loop-carried variable, no stated invariant."""
     return not loop_carried(loop) and not loop.invariants
 
 
 def length(values: ir.Expr, known: Mapping[str, ir.Expr], robots: int | None) -> int | None:
-    """Return the number of elements of a `for`; None if this number is not a constant of the program."""
+    """Return the number of elements of a `for`; None if the program does not fix this number."""
     match values:
         case ir.Range(start, stop, step):
             low, high = (whole(bound, known, robots) for bound in (start, stop))
@@ -134,18 +134,19 @@ def is_unordered(type_: Type) -> bool:
     return isinstance(type_, MapOf) or (isinstance(type_, Sequence) and type_.name == "Set")
 
 
-# Variables that a loop writes, and those that one iteration passes on to the next
+# Variables that a loop writes, and loop-carried variables (one iteration passes their values on to the next iteration)
 
 
 def written(block: stmt.Block) -> dict[Key, None]:
-    """Return the variables that a block may write, on any path."""
+    """Return the variables that a block may write on any path."""
     return {key_of(statement.place): None for statement in statements(block) if isinstance(statement, stmt.Assign)}
 
 
 def loop_carried(loop: Loop) -> dict[Key, None]:
-    """Return the loop-carried variables: those that an iteration may write on a path to the next iteration.
+    """Return the variables that an iteration may write on a path to the next iteration (loop-carried).
 
-    A variable that is written only on paths that leave the loop is not loop-carried; nor is the loop's own variable."""
+    A variable that is written only on paths out of the loop is not loop-carried. The loop's own variable is not
+    loop-carried."""
     own = set(temps_of(loop.block))
     if isinstance(loop, stmt.For):
         own.update(loop.names)
@@ -153,7 +154,7 @@ def loop_carried(loop: Loop) -> dict[Key, None]:
 
 
 def has_next_turn(loop: Loop) -> bool:
-    """Return whether some path through the loop's block leads to the loop's head again."""
+    """Return whether a path through the loop's block leads back to the loop's head."""
     _, ends, continues = _kept(loop.block)
     return ends or continues
 
@@ -161,9 +162,10 @@ def has_next_turn(loop: Loop) -> bool:
 def _kept(block: stmt.Block) -> tuple[dict[Key, None], bool, bool]:
     """Return the variables written on paths to the end of a block or to a `continue`, and two flags.
 
-    The first flag: some path reaches the end of the block. The second flag: some path reaches a `continue`."""
-    so_far: dict[Key, None] = {}  # variables written on the paths that reach this statement
-    continued: dict[Key, None] = {}  # variables written on the paths that ended in a `continue`
+    The first flag is true if a path reaches the end of the block. The second flag is true if a path reaches a
+    `continue`."""
+    so_far: dict[Key, None] = {}  # variables written on the paths to the current statement
+    continued: dict[Key, None] = {}  # variables written on the paths to a `continue`
     continues = False
     for statement in block:
         match statement:
@@ -204,7 +206,7 @@ def temps_of(block: stmt.Block) -> dict[str, Type]:
 
 
 def exposes_element(block: stmt.Block, names: tuple[str, ...]) -> bool:
-    """Return whether a value that is used after the loop may depend on the element at which the loop was left."""
+    """Return whether a value that is used after the loop may depend on the loop's last element."""
     for statement in block:
         match statement:
             case stmt.Assign(_, value) | stmt.Return(value):
@@ -222,18 +224,19 @@ def exposes_element(block: stmt.Block, names: tuple[str, ...]) -> bool:
     return False
 
 
-# Statements that write variables in a loop
+# Statements that write variables inside a loop
 
 
 class LoopWrite(NamedTuple):
-    """A statement that writes a variable in the block of a loop, outside of inner loops.
+    """Statement in a loop's block, outside of inner loops, that writes a variable.
 
     `key`: the variable.
     `value`: the expression that is assigned.
     `guards`: the `if` conditions around the statement, each with the value that it must have.
     `lets`: the declarations of local variables that precede the statement.
     `group`: statements of the same group run in the same iterations.
-    `sure`: no earlier statement can leave the iteration, so this one runs in each iteration in which `guards` hold."""
+    `sure`: no earlier statement can leave the iteration, so the statement runs in every iteration in which `guards`
+    hold."""
 
     key: Key
     value: ir.Expr
@@ -244,7 +247,7 @@ class LoopWrite(NamedTuple):
 
 
 class LoopWrites:
-    """Statements of a loop's block that write variables, found by the block's syntax."""
+    """Statements in a loop's block that write variables, found by the syntax of the block."""
 
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
@@ -279,18 +282,18 @@ class LoopWrites:
                     assert_never(statement)
 
     def of(self, key: Key) -> list[LoopWrite]:
-        """Return the statements that write a variable; an empty list if an inner loop writes the variable, too."""
+        """Return the statements that write a variable; an empty list if an inner loop also writes it."""
         return [] if key in self.opaque else [write for write in self.all if write.key == key]
 
     def only(self, key: Key) -> LoopWrite | None:
-        """Return the only statement that writes a variable; None if there is no such statement or several."""
+        """Return the only statement that writes a variable; None if no statement or several statements do."""
         found = self.of(key)
         return found[0] if len(found) == 1 else None
 
     def is_fixed(self, node: Node, lets: tuple[stmt.Let, ...], element: bool = True) -> bool:
-        """Return whether an expression's value does not depend on any variable that the loop writes.
+        """Return whether an expression's value is independent of all variables that the loop writes.
 
-        If `element`, the value may depend on the loop's own variable, the element of the iteration."""
+        If `element`, the value may still depend on the loop's own variable, the element of the iteration."""
         own = self.loop.names if isinstance(self.loop, stmt.For) else ()
         local = {let.name: let for let in lets}
         for part in walk(node):
@@ -330,7 +333,7 @@ def step_of(write: LoopWrite) -> int | None:
 
 
 class RunningExtreme(NamedTuple):
-    """Assignment that keeps a variable at the least or greatest `value` of the iterations in which `guards` hold.
+    """Assignment that keeps the least or greatest `value` of all iterations in which `guards` hold.
 
     `least`: True for the least value, False for the greatest value."""
 
@@ -341,10 +344,10 @@ class RunningExtreme(NamedTuple):
 
 
 def running_extreme_of(write: LoopWrite) -> RunningExtreme | None:
-    """Return the running extreme that an assignment computes; None for any other assignment.
+    """Return the running minimum or maximum that an assignment computes; None for other assignments.
 
-    Two forms are recognised: `if value < v: v = value` and `v = min(v, value)`. The same holds for the greatest value.
-    """
+    For the least value, two forms are recognised: `if value < v: v = value` and `v = min(v, value)`. The forms for the
+    greatest value use `>` and `max`."""
     match write.value:
         case ir.Builtin("min" | "max" as name, (left, right)):
             for own, other in ((left, right), (right, left)):

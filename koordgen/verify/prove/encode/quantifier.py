@@ -1,4 +1,4 @@
-"""Quantifiers, and the domains over which quantifiers and `for` loops range."""
+"""Quantifiers, and the domains of quantifiers and `for` loops."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 _ZERO, _ONE = t.integer(0), t.integer(1)
-_EXPANDED = 8  # largest domain whose elements are encoded one by one
+_EXPANDED = 8  # largest domain whose elements are encoded separately
 
 
 class IterationDomain(NamedTuple):
@@ -41,11 +41,11 @@ class IterationDomain(NamedTuple):
     step: int
 
     def ahead(self, index: Term) -> Term:
-        """Return the term "a loop whose next position is `index` has at least one element left"."""
+        """Return the term "a loop at position `index` has at least one element left"."""
         return t.less(index, self.stop) if self.step > 0 else t.less(self.stop, index)
 
     def not_after(self, a: Term, b: Term) -> Term:
-        """Return the term "a loop reaches position `a` before position `b`, or `a` and `b` are equal"."""
+        """Return the term "position `a` comes before position `b` in the loop, or equals `b`"."""
         return t.at_most(a, b) if self.step > 0 else t.at_most(b, a)
 
     def passed(self, index: Term, head: Term) -> Term:
@@ -55,18 +55,19 @@ class IterationDomain(NamedTuple):
         return t.all_of([before, reached, *self.on_grid(index)])
 
     def on_grid(self, index: Term) -> list[Term]:
-        """Return the terms "`index` is `start` plus a multiple of `step`"; an empty list for a step of 1 or -1."""
+        """Return the terms "`index` is `start` plus a multiple of `step`"; no terms if `step` is 1 or -1."""
         if abs(self.step) == 1:
             return []
         return [t.equals(t.remainder(t.subtract(index, self.start), t.integer(abs(self.step))), _ZERO)]
 
 
 def quantified(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> Val:
-    """Encode a quantifier as a truth value that is consistent with each of its instances that is built.
+    """Encode a quantifier as a truth value that agrees with each encoded instance of the quantifier.
 
-    If `e.strict`, a demand states that all instances have values. A `not exists` of which an instance has no value
-    then has no value itself. SOUND: this demands more than the semantics does, which stops at the first instance that
-    decides the quantifier."""
+    If `e.strict`, a demand states that all instances have values. A `not exists` with an instance without a value then
+    has no value.
+    SOUND: this demand is stronger than the semantics. The semantics stops at the first instance that decides the
+    quantifier."""
     every = node.kind == "forall"
     over = domain(e, node.domain, scope, node.body, node.name)
     temps, strict = dict(scope.temps), e.strict
@@ -110,7 +111,7 @@ _TOTAL = frozenset(("distance", "path_distance", "clear", "abs", "min", "max", "
 
 
 def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
-    """Return whether an instance of a quantifier may have no value. Only the kinds of its operations decide this."""
+    """Return whether an instance of a quantifier may have no value, judged by the kinds of its operations."""
     named = {node.name} if isinstance(node.domain, ir.Ids) else set()
     for part in walk(node.body):
         if isinstance(part, ir.Quantified) and isinstance(part.domain, ir.Ids):
@@ -135,10 +136,10 @@ def _may_fail(e: ExprEncoder, node: ir.Quantified, scope: Scope) -> bool:
 def proxy(
     context: ProofContext, instance: Callable[[Term], Term], name: str, robots: bool = True, places: bool = False
 ) -> Term:
-    """Return a truth value that is equivalent to the truth of all instances.
+    """Return a truth value that is true exactly if all instances are true.
 
-    Two directions: if the truth value is false, then the instance at a new constant, the witness, is false. If the
-    truth value is true, then every instance is true; this universal formula is instantiated later."""
+    If the truth value is false, the instance at a new constant, the witness, is false. If the truth value is true,
+    every instance is true; this universal formula is instantiated later."""
     some = context.new(name, t.INT)
     first = instance(some)
     found = context.new(f"forall {name}", t.BOOL)
@@ -149,7 +150,7 @@ def proxy(
 
 
 def in_fleet(e: ExprEncoder, xs: FleetValue, item: Val) -> Term:
-    """Return the term "some robot's value is this item"."""
+    """Return the term "the value of some robot equals this item"."""
     context = e.context
     key = (xs.name, *e.lists.leaves(item))
     if key not in context.absent:
@@ -160,7 +161,7 @@ def in_fleet(e: ExprEncoder, xs: FleetValue, item: Val) -> Term:
 
 
 def domain(e: ExprEncoder, node: ir.Expr, scope: Scope, body: Part, name: str) -> IterationDomain:
-    """Return the domain of a quantifier or a loop. In `body`, the element has the name `name`."""
+    """Return the domain of a quantifier or a loop. `name` is the variable of the element in `body`."""
     if isinstance(node, ir.Range):
         return _range(e, node, scope, body, name)
     xs = path_of(e.value(node, scope))
@@ -187,7 +188,7 @@ def _range(e: ExprEncoder, node: ir.Range, scope: Scope, body: Part, name: str) 
     start, stop = e.term(node.start, scope), e.term(node.stop, scope)
     low, high = t.number(start), t.number(stop)
     if stop is e.context.size and e.context.robots is None:
-        high = None  # if robots have no numbers, the elements cannot be enumerated
+        high = None  # robots without numbers cannot be enumerated
     listed: list[Val] | None = None
     if low is not None and high is not None and len(range(int(low), int(high), node.step)) <= _EXPANDED:
         listed = [t.integer(i) for i in range(int(low), int(high), node.step)]
@@ -210,9 +211,9 @@ def _speaks_of(term: Term, part: Term) -> bool:
 
 
 def names_robots(body: Part, name: str) -> bool:
-    """Return whether the int variable `name` may be used as the pid of a robot in `body`.
+    """Return whether `body` may use the int variable `name` as the pid of a robot.
 
-    SOUND: a variable that is passed to a function or assigned counts as used in this manner."""
+    SOUND: a variable that is assigned or passed to a function counts as a pid."""
     for part in walk(body):
         match part:
             case ir.SlotRead(_, index) | ir.LocalOf(_, index) | ir.PortOf(_, _, index):
@@ -235,7 +236,7 @@ def _int(index: Term) -> Val:
 
 
 def _key(item: Val, type_: Type) -> Val:
-    """Return the value that a loop's variable has for an element: the key for a map, the element otherwise."""
+    """Return the value of a loop's variable for an element: the key for a map, the element otherwise."""
     if isinstance(type_, MapOf):
         assert isinstance(item, tuple)
         return item[0]

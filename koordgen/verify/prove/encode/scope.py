@@ -1,4 +1,4 @@
-"""Scopes: values of the names in a property of the fleet, and in an assumption about the ports of one robot."""
+"""Scopes: values of the names in a property of the fleet, or in an assumption about one robot."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from koordgen.verify.prove.smt.term import Term
 
 
 class UnknownAnswer(Exception):
-    """Raised if an assumption calls a callable port whose answer is unknown in this scope."""
+    """Raised if an assumption calls a callable port whose answer is not known in the scope."""
 
 
 class FleetScope:
-    """Scope of a property: it can read the shared store, and the locals and ports of every robot."""
+    """Scope of a property, which can read the shared store and the locals and ports of every robot."""
 
     def __init__(self, state: SymbolicState) -> None:
         self.state = state
@@ -50,7 +50,7 @@ class FleetScope:
 class RobotScope(FleetScope):
     """Scope of an assumption about one robot.
 
-    A port denotes its value before the step, a primed port its value at an instant of the step.
+    A port denotes its value before the step. A primed port denotes its value during the step.
 
     `answers`: (callable port, arguments) -> answer."""
 

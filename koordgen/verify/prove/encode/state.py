@@ -1,6 +1,6 @@
-"""States of the fleet as terms: each variable is a function of the robot's pid.
+"""States of the fleet as terms. Each variable is a function of the robot's pid.
 
-A state after an event is the state before it, overlaid with the event's writes.
+The state after an event is the state before the event, overlaid with the event's writes.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from koordgen.verify.prove.encode.values import FleetValue, Val, pick
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import FunctionSymbol, Term
 
-# Kind and name of a variable. The kinds are "local", "slot", "cell" and "port" (named "Module.port"). Two more kinds
-# exist only while an event or function is executed: "temp" for a local variable of its block, and "wrote" for the truth
-# value whether a cell or a port was written.
+# Kind and name of a variable. The kinds are "local", "slot", "cell" and "port" (named "Module.port"). While an event or
+# function is executed, there are two more kinds: "temp" is a local variable of a block, and "wrote" is the truth value
+# "the cell or port was written".
 Key = tuple[str, str]
 
 
 def declared(program: Program) -> dict[Key, Type]:
-    """Return the types of all variables that a program declares in its state."""
+    """Return the types of all variables of a program's state."""
     found: dict[Key, Type] = {("local", v.name): v.type for v in program.locals}
     found.update({("slot" if v.kind == "allread" else "cell", v.name): v.type for v in program.shared})
     for module in program.modules:
@@ -34,7 +34,7 @@ def declared(program: Program) -> dict[Key, Type]:
 
 
 def cleared(program: Program) -> frozenset[Key]:
-    """Return the sensors that are cleared when an event writes one of their commands."""
+    """Return the sensors that become false when an event commands one of their actuators."""
     return frozenset([("port", sensor) for sensor in clearable(program)])
 
 
@@ -44,10 +44,10 @@ def sensors(program: Program) -> frozenset[Key]:
 
 
 class SymbolicState(Protocol):
-    """One state of the fleet.
+    """State of the fleet.
 
-    `of`: returns a variable of the robot with this pid; for an allwrite variable (cell) the pid has no effect.
-    `state_name`: the name of the state, part of its symbols."""
+    `of`: returns a variable of the robot with pid `robot`. For an allwrite variable (cell), the pid has no effect.
+    `state_name`: the name of the state, a part of its symbols."""
 
     @property
     def types(self) -> Mapping[Key, Type]: ...
@@ -61,7 +61,7 @@ class SymbolicState(Protocol):
 def slots(state: SymbolicState, name: str) -> FleetValue:
     """Return all robots' slots of an allread variable as one value.
 
-    States between which no robot wrote the variable return the same value."""
+    Two states return the same value if no robot wrote the variable between them."""
     key = ("slot", name)
     while (isinstance(state, UpdatedState) and key not in state.writes) or (isinstance(state, HavockedState)):
         state = state.before
@@ -74,7 +74,7 @@ def slots(state: SymbolicState, name: str) -> FleetValue:
 
 
 class ArbitraryState:
-    """Arbitrary state: no fact is known about its variables. `state_name` is the suffix of its symbols."""
+    """State with unknown variables. `state_name` is the suffix of the state's symbols."""
 
     def __init__(self, context: ProofContext, types: Mapping[Key, Type], state_name: str = "") -> None:
         self.context, self.types, self.state_name = context, types, state_name
@@ -93,10 +93,10 @@ class ArbitraryState:
 
 
 class RoundStart:
-    """State at the round's start, reconstructed at a later time of the same round for the robot `own`.
+    """State at the start of a round, reconstructed later in the same round for the robot `own`.
 
-    The variables that only `own` writes, and the sensors in `shared`, have not changed since: they are read from the
-    state `now`. All other variables are read from the arbitrary state `other`."""
+    The variables that only `own` writes, and the sensors in `shared`, are unchanged since the start of the round. They
+    are read from the state `now`. All other variables are read from the arbitrary state `other`."""
 
     def __init__(self, now: SymbolicState, other: ArbitraryState, own: Term, shared: frozenset[Key]) -> None:
         self.now, self.other, self.own, self.shared = now, other, own, shared
@@ -136,7 +136,7 @@ class UpdatedState:
 
 
 class HavockedState:
-    """State after the sensors of all robots took arbitrary values (a havoc), as in a step of the environment."""
+    """State after a step of the environment: the sensors of all robots have arbitrary new values."""
 
     def __init__(self, before: SymbolicState, after: ArbitraryState, moved: frozenset[Key]) -> None:
         self.before, self.after, self.moved = before, after, moved

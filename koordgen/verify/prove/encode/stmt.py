@@ -1,8 +1,9 @@
-"""Symbolic execution of statements: all paths through a block at once, merged at its end.
+"""Symbolic execution of statements: all paths through a block at once, merged at the end of the block.
 
-`loop.py` decides how a loop is encoded. A loop over few elements is unrolled. A loop without loop-carried variables is
-a search: the first element that leaves it, or none. Any other loop is cut at its head: what its turns write is
-havocked there, then constrained by the loop's invariants and the facts about its turns (`facts_of_turns`).
+`loop.py` chooses the encoding of a loop. A loop over few elements is unrolled. A loop without loop-carried variables is
+a search: the first element at which the loop is left decides the result. Any other loop is cut at its head: the
+variables that it writes get arbitrary values, constrained by the loop's invariants and by facts about its iterations
+(`facts_of_turns`).
 """
 
 from __future__ import annotations
@@ -44,24 +45,24 @@ Path = tuple[Term, ...]
 
 
 class Exit:
-    """One exit of a block.
+    """Exit of a block.
 
     `kind`: "break", "continue", "return" or "stop".
     `path`: the condition under which the exit is taken.
-    `env`: the values of the variables written up to the exit.
-    `value`: the result, for a "return" of a function."""
+    `env`: the values of the variables written before the exit.
+    `value`: the result, if the exit is the "return" of a function."""
 
     def __init__(self, kind: str, path: Path, env: Env, value: Val | None) -> None:
         self.kind, self.path, self.env, self.value = kind, path, env, value
 
 
 class ProgramPoint(NamedTuple):
-    """Point in an event or function, recorded while it is encoded.
+    """Point in an event or function, recorded while the event or function is encoded.
 
-    `frame`: a copy of the values at this point.
+    `frame`: a copy of the values at the point.
     `path`: the path condition.
-    `position`: facts up to this position are known here.
-    `demands`: the conditions under which all operations before this point have values."""
+    `position`: facts up to this position are known at the point.
+    `demands`: the conditions under which all operations before the point have values."""
 
     frame: SymbolicFrame
     path: Term
@@ -70,20 +71,20 @@ class ProgramPoint(NamedTuple):
 
     @property
     def reached(self) -> Term:
-        """Return the condition that a run reaches this point.
+        """Return the condition that a run reaches the program point.
 
-        The run must take the path to this point, and all earlier operations must have values."""
+        The run must take the path to the point, and all earlier operations must have values."""
         return t.all_of([self.path, *[demand.term for demand in self.demands]])
 
 
 class LoopHead:
-    """Head of one loop that is cut.
+    """Head of a loop that is encoded by its invariants instead of being unrolled.
 
     `loop`: the loop.
-    `kept`: its loop-carried variables, which are havocked at the head.
+    `kept`: the loop-carried variables, which have arbitrary values at the head.
     `entry`: the program point before the first iteration.
-    `turn`: the head before an arbitrary iteration, or after the last one.
-    `back`: the end of an iteration that leads to the head again; None if no iteration does."""
+    `turn`: the head before an arbitrary iteration, or after the last iteration.
+    `back`: the end of an iteration that leads back to the head; None if no iteration does."""
 
     def __init__(self, loop: Loop, kept: tuple[Key, ...], entry: ProgramPoint) -> None:
         self.loop, self.kept, self.entry = loop, kept, entry
@@ -95,41 +96,43 @@ class SymbolicFrame:
     """Symbolic execution of one effect or function.
 
     `now`: the state that the effect changes; None in a function.
-    `seen`: the state in which shared variables are read; None in a function.
+    `seen`: the state from which shared variables are read; None in a function.
     `types`: the types of the local variables of the block.
-    `know`: receives each loop head and adds the facts that hold there.
-    `encoding`: chooses the encoding of a loop. If None, the encoding depends on the number of the loop's elements."""
+    `assume_at_head`: receives each loop head and adds the facts that hold at the head.
+    `encoding`: chooses the encoding of a loop. If None, the number of the loop's elements decides."""
 
     def __init__(
         self, encoder: Encoder, pid: Term, now: SymbolicState | None, seen: SymbolicState | None,
         ask: Callable[[ir.PortCall, tuple[Val, ...]], Val], types: Mapping[str, Type],
-        know: Callable[[LoopHead], None], encoding: EncodingOf | None = None,
+        assume_at_head: Callable[[LoopHead], None], encoding: EncodingOf | None = None,
     ) -> None:  # fmt: skip
         self.e, self.context = encoder, encoder.context
         self.pid, self.now, self.seen = pid, now, seen
-        self.ask, self.types, self.know, self.encoding = ask, types, know, encoding
+        self.ask, self.types, self.assume_at_head, self.encoding = ask, types, assume_at_head, encoding
         self.env: Env = {}
         self.temps: dict[str, Val] = {}
         self.exits: list[Exit] = []
         self.heads: list[LoopHead] = []
-        self.brief = False  # True to add fewer facts about the iterations of loops
+        self.brief = False  # True to add fewer facts about loop iterations
 
     def place(self) -> ProgramPoint:
         """Return the current program point, with a copy of all values."""
-        copy = SymbolicFrame(self.e, self.pid, self.now, self.seen, self.ask, self.types, self.know, self.encoding)
+        copy = SymbolicFrame(
+            self.e, self.pid, self.now, self.seen, self.ask, self.types, self.assume_at_head, self.encoding
+        )
         copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
         return ProgramPoint(copy, t.all_of(self.context.path), self.context.position, tuple(self.context.demands))
 
     def state(self) -> UpdatedState:
-        """Return the fleet's state as if the event ended at this point.
+        """Return the state that the fleet would have if the event ended at the current program point.
 
-        Each returned state has a unique name, which keeps its variables apart from those of other states."""
+        Each returned state has a unique name, so its variables differ from the variables of all other states."""
         assert self.now is not None
         writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
         self.context.fresh += 1
         return UpdatedState(self.context, self.now, self.pid, writes, f"@place{self.context.fresh}")
 
-    # Reads
+    # Reads of variables and ports
 
     def own(self, key: Key) -> Val:
         if key in self.env:
@@ -160,16 +163,16 @@ class SymbolicFrame:
         return slots(UpdatedState(self.context, self.seen, self.pid, written, state_name), name)
 
     def local_of(self, name: str, robot: Term) -> Val:
-        raise AssertionError("an effect reads its own robot's")
+        raise AssertionError("an effect reads a local or a port of a named robot")
 
     port_of = local_of
 
-    # Statements
+    # Execution of statements
 
     def block(self, block: stmt.Block) -> Term:
         """Execute the statements of a block.
 
-        Return the condition that the end of the block is reached, given that its beginning is reached."""
+        Returns the condition under which a run that begins the block reaches the end of the block."""
         live: Term = t.TRUE
         for place, statement in enumerate(block):
             if live is t.FALSE and not has_loop(block[place:]):
@@ -210,7 +213,7 @@ class SymbolicFrame:
             self.env["wrote", key[1]] = t.TRUE
 
     def put(self, key: Key, value: Val) -> None:
-        """Give a variable a new value."""
+        """Set a variable to a new value."""
         if key[0] == "temp":
             self.temps[key[1]] = value
         else:
@@ -237,7 +240,7 @@ class SymbolicFrame:
             self.restore(self.merged(condition, after, self.snapshot()))
         return t.ite(condition, then, orelse)
 
-    # Loops
+    # Execution of loops
 
     def loop(self, loop: Loop) -> Term:
         around, self.exits = self.exits, []
@@ -284,10 +287,10 @@ class SymbolicFrame:
         return live
 
     def run(self, loop: Loop, element: Val | None) -> Term:
-        """Execute one iteration of a loop. Return the condition that it reaches its end or a `continue`."""
+        """Execute one iteration. Return the condition that the run reaches its end or a `continue`."""
         if isinstance(loop, stmt.For):
             assert element is not None
-            self.take(loop, element)
+            self.bind_element(loop, element)
         depth = len(self.context.path)
         live = self.block(loop.block)
         for left in [e for e in self.exits if e.kind == "continue"]:
@@ -297,7 +300,7 @@ class SymbolicFrame:
         self.exits = [e for e in self.exits if e.kind != "continue"]
         return live
 
-    def take(self, loop: stmt.For, element: Val) -> None:
+    def bind_element(self, loop: stmt.For, element: Val) -> None:
         parts = (element,) if len(loop.names) == 1 else element
         assert isinstance(parts, tuple)
         self.temps.update(zip(loop.names, parts, strict=True))
@@ -305,7 +308,7 @@ class SymbolicFrame:
     def search(self, loop: stmt.For, over: IterationDomain) -> Term:
         """Encode a loop as a search: the first element at which the loop is left decides the result.
 
-        The iterations of such a loop change no variable that a later iteration reads."""
+        No iteration of such a loop changes a variable that a later iteration reads."""
         context, start = self.context, self.snapshot()
         found, first = context.new("found", t.BOOL), context.new(loop.names[0].split("@")[0], t.INT)
         path, depth = context.path, len(context.path)
@@ -321,7 +324,7 @@ class SymbolicFrame:
         many = len(context.demands)
         left = leaves(first)
         exits = self.exits
-        context.fact(t.implies(found, left), "exit of a loop", loop.span.line)
+        context.fact(t.implies(found, left), "iteration that leaves a loop", loop.span.line)
 
         def instance(index: Term) -> Term:
             kept, around = context.path, (self.exits, self.snapshot())
@@ -334,7 +337,7 @@ class SymbolicFrame:
                 self.restore(around[1])
             return t.implies(here, t.and_(found, over.not_after(first, index)))
 
-        with context.about("exit of a loop", loop.span.line):
+        with context.about("iteration that leaves a loop", loop.span.line):
             context.element(first, over.robots, over.places and first not in context.ignored)
             context.for_all(instance, over.robots, over.places)
         if len(context.demands) > many:
@@ -347,10 +350,9 @@ class SymbolicFrame:
     def demanded(self, loop: stmt.For, over: IterationDomain, found: Term, first: Term, start: Env) -> None:
         """Demand that every operation has a value in each iteration that runs.
 
-        The iterations that run are those up to the one that leaves the loop, inclusive; all of them if none leaves the
-        loop."""
+        If an iteration leaves the loop, the iterations up to and including it run. Otherwise all iterations run."""
         any_ = self.context.new(f"{loop.names[0].split('@')[0]}@taken", t.INT)
-        self.looked_at(any_, over, not self.brief)
+        self.register_index(any_, over, not self.brief)
         taken = t.and_(over.inside(any_), t.implies(found, over.not_after(any_, first)))
         around, self.exits = self.exits, []
         self.restore(start)
@@ -361,13 +363,13 @@ class SymbolicFrame:
     def cut(self, loop: Loop, over: IterationDomain | None) -> Term:
         """Encode a loop by a cut at its head.
 
-        The loop-carried variables are havocked at the head, then constrained by the facts that hold there. One
-        iteration is executed from this arbitrary state; its end is recorded in `back`. The code after the loop starts
-        from the same arbitrary state, in which the loop has no further iteration."""
+        The loop-carried variables get arbitrary values at the head, constrained by the facts that hold at the head. One
+        iteration is executed from this arbitrary state, and its end is recorded in `back`. The code after the loop
+        starts from the same arbitrary state, in which no further iteration follows."""
         context, index = self.context, None
         if self.now is not None:
             line = loop.span.line
-            context.note(f"line {line}: only invariants and facts about iterations are known of what the loop writes")
+            context.note(f"line {line}: the values that the loop writes are known only by invariants and facts")
         if over is not None:
             self.count(loop, over.start)
         kept = tuple(loop_carried(loop))
@@ -380,7 +382,7 @@ class SymbolicFrame:
         if over is not None:
             assert isinstance(loop, stmt.For)
             index = context.new(loop.names[0].split("@")[0], t.INT)
-            self.looked_at(index, over, not self.brief or self.now is not None)
+            self.register_index(index, over, not self.brief or self.now is not None)
             self.count(loop, index)
         head.turn = self.place()
         facts_of_turns(head, over, index, self.brief)
@@ -393,7 +395,8 @@ class SymbolicFrame:
         start = self.snapshot()
         with context.under(condition):
             live = self.run(loop, element)
-            # `count.py` does not fold constants: for equal counts, the syntax decides here, too
+            # The syntax decides whether another iteration can follow. `count.py` must find the same number of
+            # obligations, and it does not fold constants.
             if live is not t.FALSE or has_next_turn(loop):
                 if over is not None:
                     assert index is not None
@@ -403,22 +406,22 @@ class SymbolicFrame:
         context.position += 1
         self.restore(start)
         self.heads.append(head)
-        self.know(head)
+        self.assume_at_head(head)
         return t.not_(condition)
 
-    def looked_at(self, index: Term, over: IterationDomain, told: bool) -> None:
+    def register_index(self, index: Term, over: IterationDomain, is_instantiated: bool) -> None:
         """Register an index for the instantiation of universal formulas.
 
-        If `told` is false, exclude the index from instantiation instead."""
-        if told:
+        If `is_instantiated` is false, exclude the index from instantiation."""
+        if is_instantiated:
             self.context.element(index, over.robots, over.places)
         else:
             self.context.ignored.add(index)
 
     def count(self, loop: Loop, index: Term) -> None:
-        """Set a loop's variable to its next value, since the loop's invariants read it before each iteration.
+        """Set the variable of a loop over numbers to its next value.
 
-        This applies only to loops over numbers."""
+        The loop's invariants read this value before each iteration. Loops over other elements are left alone."""
         if isinstance(loop, stmt.For) and isinstance(loop.values, (ir.Range, ir.Ids)):
             self.temps[loop.names[0]] = index
 
@@ -440,7 +443,7 @@ class SymbolicFrame:
     def merged(self, condition: Term, then: Env, orelse: Env) -> Env:
         """Return the values where two paths meet: `then` if `condition` holds, otherwise `orelse`.
 
-        A local variable that only one of the paths declares is dropped."""
+        A local variable that only one path declares is dropped."""
         found: Env = {}
         for key in {**then, **orelse}:
             if key[0] == "temp":
@@ -459,27 +462,27 @@ class SymbolicFrame:
         return state.of(key, self.pid)
 
     def writes(self) -> Env:
-        """Return the values at the end of the effect, merged from all its exits.
+        """Return the values at the end of the effect, merged from all exits.
 
-        Call this after the block has been executed."""
+        Call this method after the block has been executed."""
         env = self.snapshot()
         for left in self.exits:
             env = self.merged(t.all_of(left.path), left.env, env)
         return {key: value for key, value in env.items() if key[0] != "temp"}
 
 
-# Facts about the iterations of a loop that is cut. They hold at the loop's head by the semantics of loops, whatever the
-# loop's block does, so they need no obligation. docs/reference/semantics.md ("Loops") states each rule with the reason
-# why it is sound. The facts never contradict one another: the values at loop entry, before any iteration, satisfy them.
+# Facts about the iterations of a loop that is cut at its head. These facts follow from the semantics of loops, so they
+# need no proof obligation. docs/reference/semantics.md ("Loops") states each rule and why it is sound. The facts never
+# contradict one another, because the values at loop entry satisfy all of them.
 _ZERO, _ONE = t.integer(0), t.integer(1)
 
 
 def facts_of_turns(head: LoopHead, over: IterationDomain | None, index: Term | None, brief: bool) -> None:
-    """Add the facts known at a loop's head, before an arbitrary iteration or after the last one.
+    """Add the facts that hold at a loop's head, before an arbitrary iteration or after the last iteration.
 
     `over`: the domain of a `for`; None for a `while`.
-    `index`: the current position in this domain.
-    `brief`: add only the facts of the rules "places", "written" and "counted"."""
+    `index`: the current position in the domain.
+    `brief`: True to add only the facts of the rules "places", "written" and "counted"."""
     turns = _Turns(head, over, index)
     with turns.context.about(f"iterations of the loop in line {head.loop.span.line}", head.loop.span.line):
         turns.places()
@@ -510,7 +513,7 @@ class _Turns:
         self.context = self.now.context
         self.writes = LoopWrites(self.loop)
 
-    # Rule "places": the current position of a `for` is in its domain, or is the end of the domain.
+    # Rule "places": the current position of a `for` is a position in its domain, or the end of the domain.
 
     def places(self) -> None:
         if self.over is None or self.index is None:
@@ -525,9 +528,8 @@ class _Turns:
             for fact in over.on_grid(index):
                 context.fact(fact)
 
-    # Rule "written": a cell or port that no iteration has written still has its value at loop entry. A cell or port
-    # that
-    # was written before the loop still counts as written.
+    # Rule "written": a cell or port has its value at loop entry, unless an iteration has written it. If a cell or port
+    # was written before the loop, it counts as written in the loop.
 
     def written(self) -> None:
         for kind, name in self.head.kept:
@@ -538,10 +540,10 @@ class _Turns:
             same = self.same((kind, name))
             self.context.fact(t.or_(as_term(wrote), same))
 
-    # Rule "counted": a variable that is only ever increased is never below its value at loop entry. With one writing
-    # statement in a `for`, it is above that value by at most one step per iteration; by exactly one step if no
-    # iteration
-    # can skip the statement. The rule holds likewise for a variable that is only ever decreased.
+    # Rule "counted": if every write increases a variable, the variable is never below its value at loop entry. If a
+    # `for` has a single such statement, the variable exceeds this value by at most one step per iteration, and by
+    # exactly one step per iteration if no iteration can skip the statement. The rule for decreasing writes is
+    # symmetric.
 
     def counted(self, key: Key) -> None:
         writes = self.writes.of(key)
@@ -564,9 +566,8 @@ class _Turns:
         else:
             self.context.fact(t.at_most(now, most) if rises else t.at_most(most, now))
 
-    # Rule "last written": a variable that one statement writes has its value at loop entry, or the value that the
-    # statement
-    # gave it in an earlier iteration.
+    # Rule "last written": a variable with a single writing statement has its value at loop entry, or the value that
+    # the statement wrote in an earlier iteration.
 
     def last_written(self, group: Sequence[LoopWrite]) -> None:
         fixed = [write for write in group if self.writes.is_fixed(write.value, write.lets)]
@@ -581,9 +582,8 @@ class _Turns:
         kept = [self.same(write.key) for write in fixed]
         self.context.fact(t.or_(t.all_of(kept), t.all_of([self.over.passed(turn, self.index), *made, *held])))
 
-    # Rule "bounded": a variable that keeps the least value is at most its value at loop entry. It is also at most the
-    # value
-    # that the statement compared in each earlier iteration. The rule holds likewise for the greatest value.
+    # Rule "bounded": a variable that keeps the least value is at most its value at loop entry. The variable is also at
+    # most each value that the statement compared in an earlier iteration. The rule for the greatest value is symmetric.
 
     def bounded(self, bound: RunningExtreme) -> None:
         write = bound.write
@@ -604,9 +604,8 @@ class _Turns:
 
         self.context.for_all(instance, over.robots, over.places)
 
-    # Rule "passed": the condition of a `while` was true at the start of each earlier iteration, so it held for each
-    # earlier
-    # value of the loop's counter.
+    # Rule "passed": the condition of a `while` was true at the start of each earlier iteration. So the condition held
+    # for each earlier value of the loop's counter.
 
     def passed(self, write: LoopWrite) -> None:
         step = step_of(write)
@@ -650,30 +649,30 @@ class _Turns:
         finally:
             self.writes.changed = changed
 
-    # Operations that the rules share
+    # Operations that several rules use
 
     def name(self) -> str:
         return self.loop.names[0].split("@")[0] if isinstance(self.loop, stmt.For) else "turn"
 
     def at(self, turn: Term, lets: Sequence[stmt.Let]) -> SymbolicFrame:
-        """Return a frame for one iteration: it sets the variables that depend only on the iteration's element."""
+        """Return a frame for one iteration, with the variables that depend only on its element."""
         assert self.over is not None and isinstance(self.loop, stmt.For)
         frame = self.before.place().frame
-        frame.take(self.loop, self.over.element(turn))
+        frame.bind_element(self.loop, self.over.element(turn))
         for place, let in enumerate(lets):
             if self.writes.is_fixed(let.value, tuple(lets[:place])):
                 frame.temps[let.name] = self.value(let.value, frame)
         return frame
 
     def value(self, node: ir.Expr, frame: SymbolicFrame) -> Val:
-        """Return the value of an expression, and discard the demands that it has a value."""
+        """Return the value of an expression, and discard the demands that the expression has a value."""
         with self.context.outermost(), self.context.separate_demands():
             return frame.e.value(node, frame)
 
     def guards(
         self, guards: Sequence[tuple[ir.Expr, bool]], lets: tuple[stmt.Let, ...], frame: SymbolicFrame
     ) -> list[Term]:
-        """Return the conditions that depend only on the iteration's element, as terms that are true."""
+        """Return the conditions that depend only on the iteration's element, as terms that hold."""
         fixed = [(guard, held) for guard, held in guards if self.writes.is_fixed(guard, lets)]
         terms = [(as_term(self.value(guard, frame)), held) for guard, held in fixed]
         return [term if held else t.not_(term) for term, held in terms]

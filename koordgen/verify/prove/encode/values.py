@@ -1,6 +1,6 @@
 """Symbolic values of Koord's types: a term, a tuple of parts, or a collection.
 
-A collection records how it was built, so that its length and elements are derived when they are needed. Therefore the
+A collection records how it was built. The length and the elements are derived from this record on demand, so the
 encoding needs no axioms about lists.
 """
 
@@ -30,7 +30,7 @@ from koordgen.verify.prove.smt.term import Sort, Term
 
 
 class OpaqueCollection(Node):
-    """Collection of which nothing but its term is known."""
+    """Collection of which only its term is known."""
 
     term: Term
     type: Type
@@ -39,9 +39,9 @@ class OpaqueCollection(Node):
 
 
 class EnumeratedCollection(Node):
-    """Collection that contains exactly `items`; for a map, pairs of key and value.
+    """Collection that contains exactly `items`. The items of a map are pairs of key and value.
 
-    The order of the items means nothing for sets and maps."""
+    For sets and maps, the order of the items has no meaning."""
 
     items: tuple[Val, ...]
     type: Type
@@ -78,8 +78,7 @@ class FleetValue(Node):
 
     `name`: identifies the variable and the state.
     `slot`: returns the value of one robot.
-    `changed`: (another FleetValue, robot, value) if this FleetValue differs from the other one in this robot's value
-        only."""
+    `changed`: (other, robot, value) if the values equal those of the FleetValue `other` in all robots but `robot`."""
 
     name: str
     slot: Callable[[Term], Val]
@@ -98,7 +97,7 @@ def is_collection(type_: Type) -> bool:
 
 
 def pick(condition: Term, then: Val, orelse: Val) -> Val:
-    """Return `then` if the condition holds, otherwise `orelse`. Both have the same type."""
+    """Return `then` if the condition holds, otherwise `orelse`. Both values have the same type."""
     if condition is t.TRUE or then is orelse:
         return then
     if condition is t.FALSE:
@@ -131,10 +130,10 @@ def as_term(value: Val) -> Term:
     return value
 
 
-# Sorts of Koord's types. A value of a type with parts is flattened into one term per part. A value without a fixed size
-# is one term of a sort of its own.
+# Sorts of Koord's types. A value of a type with parts becomes one term per part. A value without a fixed size becomes
+# one term of a separate sort.
 
-# Leaf: a suffix such as ".target.x", which the symbol of one part of a value ends with, and the part's sort.
+# Leaf: the sort of one part of a value, with the suffix of its symbol, such as ".target.x".
 Leaf = tuple[str, Sort]
 _PLAIN: dict[Type, Sort] = {INT: t.INT, FLOAT: t.REAL, BOOL: t.BOOL}
 _PARTS: dict[Type, tuple[tuple[str, Type], ...]] = {
@@ -159,8 +158,8 @@ def parts_of(type_: Type) -> tuple[tuple[str, Type], ...] | None:
 def sort_of(type_: Type) -> Sort:
     """Return the sort of a type without parts.
 
-    Strings, maps of places, scans, extern types and collections each have an uninterpreted sort with the type's name.
-    """
+    Strings, maps of places, scans, extern types and collections each have an uninterpreted sort, named after the
+    type."""
     return _PLAIN.get(type_) or Sort(str(type_))
 
 

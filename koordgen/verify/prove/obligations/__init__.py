@@ -1,6 +1,7 @@
-"""Proof obligations: the formulas that together imply that an invariant holds.
+"""Proof obligations: formulas that together imply that an invariant holds in every run.
 
-Owns: obligations of the mission's start, of each event, of the environment's step, of loops; their expected number.
+Owns: obligations of the mission's start, each event, the environment's step and loops; the expected number of
+obligations.
 Offers: `generate.obligations`.
 Must not import: `report`.
 """

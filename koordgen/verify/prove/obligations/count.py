@@ -1,8 +1,8 @@
 """Expected obligations of a program, counted from the IR alone.
 
-The encoder must produce exactly these obligations: an obligation that it omits would leave a hole in the proof. To be
-an independent check, the count uses none of the encoder's work. It shares with the encoder only decisions that are made
-from the IR (`loops.py`, `encode/loop.py`).
+The encoder must produce exactly these obligations: a missing obligation would leave a hole in the proof. The count is
+an independent check, so it uses no result of the encoder. Both share only decisions that depend on the IR alone
+(`loops.py`, `encode/loop.py`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ def expected(
     program: decl.Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None,
     dropped: frozenset[HeadFormula] = frozenset(),
 ) -> Counter[str]:  # fmt: skip
-    """Return the names of the expected obligations of invariants, each with the number of its occurrences.
+    """Return the names of the expected obligations, each with the number of its occurrences.
 
-    Each invariant has obligations at the mission's start, for each event, for the environment's step, and for each loop
-    that is cut. Two kinds are not counted: `(well-defined)` and consistency. Only the encoder finds out which
-    operations can fail."""
+    An invariant has obligations at the mission's start, for each event, for the environment's step, and for each loop
+    that is encoded by its invariants. Obligations of `(well-defined)` and of consistency are not counted, because only
+    the encoder finds the operations that can fail."""
     problem = ProofProblem(program, robots, params, "little", dropped)
     names = Counter(f"{p.name}-init" for p in problem.invariants)
     for event in program.events:
@@ -42,8 +42,9 @@ def expected(
 def _at_heads(problem: ProofProblem, owner: str, block: stmt.Block) -> Iterator[str]:
     """Yield the names of a block's loop obligations.
 
-    Each formula assumed at a loop's head has one obligation at loop entry, and one more if an iteration can lead to the
-    head again. A loop within an unrolled loop has its obligations once per iteration of the unrolled loop."""
+    Each formula assumed at a loop's head has one obligation at loop entry. It has another obligation if an iteration
+    can lead back to the head. A loop inside an unrolled loop has its obligations once per iteration of the unrolled
+    loop."""
     for statement in block:
         match statement:
             case stmt.If(_, then, orelse):

@@ -1,8 +1,8 @@
-"""Generator of proof obligations: for the mission's start, each event, and the environment's step.
+"""Generator of proof obligations for the mission's start, each event, and the environment's step.
 
-The proof is by induction. Base case: the invariants hold when all robots have run `init`. Induction steps: each event
-of each robot preserves the invariants, whatever other robots did earlier in the round; so does the environment's step,
-at each of its instants. docs/explanation/proofs.md argues why these steps suffice.
+The proof is by induction. Base case: the invariants hold after all robots have run `init`. Induction steps: each event
+of each robot preserves the invariants, whatever other robots did earlier in the round. The environment's step also
+preserves the invariants, at each instant of the step. docs/explanation/proofs.md argues why these steps suffice.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from koordgen.verify.prove.smt.term import Term
 WELL_DEFINED = "(well-defined)"
 AFTERWARDS = " afterwards"
 OF_TWO = "(two robots)"
-# Names of the consistency questions that are asked about the assumptions of every program.
+# Names of the consistency obligations. Every program has them: they ask whether its assumptions are satisfiable.
 CONSISTENT = ("initially", "environment")
 
 
 class Goal(NamedTuple):
-    """One goal: an invariant, as conjuncts that must be proved.
+    """Goal of a proof: an invariant, as conjuncts that must be proved.
 
-    `at`: the loop head and the formula there, for a goal at a loop's head; None for other goals.
-    `place`: "entry" or "turn" (the end of an iteration), for a goal at a loop's head.
+    `at`: the loop head and its formula, if the goal belongs to a loop's head; None for other goals.
+    `place`: "entry" or "turn" (the end of an iteration), if the goal belongs to a loop's head.
     `position`: the goal may use only facts up to this position in the event.
-    `demands`: the goal may also use that these conditions hold."""
+    `demands`: conditions that the goal may assume."""
 
     invariant: str
     conjuncts: tuple[LabelledFormula, ...]
@@ -68,9 +68,9 @@ def obligations(
     """Return all obligations of a checked program.
 
     `robots`: the number of robots; None for any number.
-    `params`: the values of fixed params; all other params are arbitrary.
-    `detail`: how many of the known facts about distances and the round are added. "most" is slower to solve, but its
-    counterexamples satisfy more of the facts. "little" omits the cells, which counterexamples need.
+    `params`: the values of fixed params. All other params are arbitrary.
+    `detail`: the amount of facts that are added about distances and the round. "most" is slower to solve, but its
+        counterexamples satisfy more facts. "little" omits the cells, which counterexamples need.
     `dropped`: formulas that are not assumed at heads of loops.
     `event`: return only the obligations of this event, of "init", "(environment)" or a function.
 
@@ -86,9 +86,9 @@ def obligation_groups(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, detail: Detail = "usual",
     dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None,
 ) -> Iterator[list[Obligation]]:  # fmt: skip
-    """Yield the obligations that `obligations` returns, in groups.
+    """Yield the obligations of a checked program in groups. The obligations of a group share their facts.
 
-    The obligations of one group share their facts."""
+    The parameters are those of `obligations`."""
     t.forget()
     problem = ProofProblem(program, robots, params, detail, dropped)
     if event is None:
@@ -99,10 +99,10 @@ def obligation_groups(
 
 
 class Part(NamedTuple):
-    """A part of a program whose obligations share their facts.
+    """Part of a program whose obligations share their facts.
 
     `write`: encodes the part and returns its obligations.
-    `invariants`: names of the invariants that have an obligation in this part.
+    `invariants`: names of the invariants that have an obligation in the part.
     `block`: the statements that contain the part's loops."""
 
     kind: Kind
@@ -114,7 +114,7 @@ class Part(NamedTuple):
 
 
 def parts(problem: ProofProblem) -> Iterator[Part]:
-    """Yield the parts of a program, in the order in which the solver is asked about them."""
+    """Yield the parts of a program, in the order in which the solver receives their obligations."""
     program, names = problem.program, tuple([p.name for p in problem.invariants])
     for function in functions_with_invariants(program):
         write = partial(of_function, problem, function)
@@ -135,7 +135,7 @@ def parts(problem: ProofProblem) -> Iterator[Part]:
 def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
     """Return the obligations of a part.
 
-    If the part's formulas are too large, each of its obligations is returned without formulas, so that it stays
+    If the part's formulas are too large, return each obligation without formulas, so that the obligation stays
     unproved."""
     t.count_anew()
     try:
@@ -155,9 +155,9 @@ def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
 
 
 def _too_large(problem: ProofProblem, name: str, invariant: str, kind: Kind, part: Part, reason: str) -> Obligation:
-    """Return an obligation for a part whose formulas are too large.
+    """Return an obligation of a part whose formulas are too large.
 
-    Its goal is false, so that no solver can prove the obligation."""
+    The goal of the obligation is false, so no solver can prove it."""
     path, robots = problem.program.path, problem.robots
     goal = None if kind == "consistency" else LabelledFormula(invariant, t.FALSE, path, part.line)
     expected: Literal["sat", "unsat"] = "sat" if goal is None else "unsat"
@@ -177,13 +177,13 @@ def _named_at_head(invariant: str, kind: Kind, event: str, line: int, place: str
 def assumptions(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None
 ) -> list[Obligation]:
-    """Return the obligations that ask whether the assumptions of a program are satisfiable."""
+    """Return the obligations that ask whether a program's assumptions are satisfiable."""
     t.forget()
     return consistency(ProofProblem(program, robots, params, "little"))
 
 
 def consistency(problem: ProofProblem) -> list[Obligation]:
-    """Return the consistency obligations of every program: they ask about its assumptions alone."""
+    """Return the consistency obligations of a program, which ask whether its assumptions are satisfiable."""
     asked = [(name, False) for name in CONSISTENT]
     assumed = [a.formula for module in problem.program.modules for a in module.assumptions]
     if problem.robots is None and any(isinstance(node, ir.Pid) for node in walk(tuple(assumed))):
@@ -205,7 +205,7 @@ def _named_of_assumptions(name: str, of_two: bool) -> str:
 
 
 def of_function(problem: ProofProblem, function: decl.Function) -> list[Obligation]:
-    """Return the obligations of the invariants at a function's loops, for arbitrary arguments."""
+    """Return the obligations of the loop invariants in a function, for arbitrary arguments."""
     part_encoder = PartEncoder(problem)
     context = part_encoder.context
     args = tuple([context.any(parameter.name.split("@")[0], parameter.type) for parameter in function.parameters])
@@ -220,7 +220,7 @@ def of_function(problem: ProofProblem, function: decl.Function) -> list[Obligati
 def of_init(problem: ProofProblem) -> list[Obligation]:
     """Return the obligations of one robot's `init`.
 
-    All operations of `init` must have values, and its loop invariants must hold."""
+    All operations of `init` must have values. The loop invariants of `init` must hold."""
     part_encoder, program = PartEncoder(problem), problem.program
     launch = LaunchState(part_encoder)
     run = InitRun(part_encoder, launch, part_encoder.context.acting("pid"))
@@ -232,7 +232,7 @@ def of_init(problem: ProofProblem) -> list[Obligation]:
 
 
 def base(problem: ProofProblem) -> list[Obligation]:
-    """Return the base case: the invariants hold when every robot's `init` has ended."""
+    """Return the base case: the invariants hold after every robot's `init` has ended."""
     part_encoder, program = PartEncoder(problem), problem.program
     ready = StartState(part_encoder)
     assume_initially(part_encoder, ready.launch)
@@ -261,7 +261,14 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
 
     assume_priority(part_encoder, event, own, now, round_start)
     frame = SymbolicFrame(
-        part_encoder.encoder, own, now, seen, ask, temps_of(event.effect), part_encoder.know, problem.loops.encoding
+        part_encoder.encoder,
+        own,
+        now,
+        seen,
+        ask,
+        temps_of(event.effect),
+        part_encoder.assume_at_head,
+        problem.loops.encoding,
     )
     frame.brief = part_encoder.brief
     with context.separate_demands() as demands:
@@ -291,11 +298,11 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
 
 
 def assume_guard(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame) -> None:
-    """Assume that an event's guard is true, provided that all its operations have values.
+    """Assume that an event's guard is true, on the condition that all operations of the guard have values.
 
-    Without this proviso, the guard could prove that its own operations have values, which would be circular. The
-    conjuncts before the first operation that may have no value need no proviso: terms built later use the values that
-    they give.
+    Without the condition, the guard could prove that its own operations have values. Such a proof would be circular.
+    The conjuncts before the first operation that may lack a value need no condition. They may fix values of variables;
+    terms that are built later use these values.
     """
     context = part_encoder.context
     parts: list[Term] = []
@@ -310,7 +317,7 @@ def assume_guard(part_encoder: PartEncoder, guard: ir.Expr, frame: SymbolicFrame
 def environment(problem: ProofProblem) -> list[Obligation]:
     """Return the obligations of the environment's step.
 
-    The obligation of an invariant may use that earlier invariants hold after the step."""
+    The obligation of an invariant may assume that earlier invariants hold after the step."""
     part_encoder = PartEncoder(problem)
     now = ArbitraryState(part_encoder.context, problem.types)
     after = HavockedState(now, ArbitraryState(part_encoder.context, problem.types, "@after"), problem.sensors)
@@ -329,11 +336,11 @@ def environment(problem: ProofProblem) -> list[Obligation]:
 def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obligation:
     """Return an obligation that asks whether assumptions are satisfiable.
 
-    `name` selects the assumptions: those at the mission's start (params, sensors, spec functions, contracts and answers
-    of callable ports), or those about a step of the environment from a state in which the invariants hold.
+    `name`: selects the assumptions. "initially": those at the mission's start, about params, sensors, spec functions,
+        contracts and answers of callable ports. "environment": those about a step of the environment from a state in
+        which the invariants hold.
     `of_two`: ask about fleets of at least two robots. Assumptions that read `pid` may contradict one another for robot
-        1,
-    although they do not for robot 0."""
+        1 although they agree for robot 0."""
     part_encoder = PartEncoder(problem, thorough=True)
     context = part_encoder.context
     context.robot(t.integer(0), known=True)
@@ -361,7 +368,7 @@ def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obliga
 def at_heads(part_encoder: PartEncoder, heads: Sequence[LoopHead]) -> list[Goal]:
     """Return the goals of the formulas that are assumed at loop heads.
 
-    Each formula must hold at loop entry, and each iteration must preserve it."""
+    Each formula must hold at loop entry, and each iteration must preserve the formula."""
     loops = part_encoder.problem.loops
     found = []
     for head in heads:
@@ -379,7 +386,7 @@ def at_heads(part_encoder: PartEncoder, heads: Sequence[LoopHead]) -> list[Goal]
 
 
 class _Output:
-    """Builder of the obligations of one part. These obligations share the part's facts."""
+    """Builder of a part's obligations, which share the part's facts."""
 
     def __init__(
         self,
@@ -404,11 +411,11 @@ class _Output:
         demands: Sequence[LabelledFormula],
         ended: tuple[LabelledFormula, ...],
     ) -> list[Obligation]:
-        """Return one obligation per goal, and one that all operations have values.
+        """Return one obligation per goal, and one obligation that all operations have values.
 
-        Each goal may assume that all operations have values: an event with an operation without a value is discarded
-        and changes nothing. `ended`: the condition that the effect has reached its end. Goals at a loop's head do not
-        assume it."""
+        A goal may assume that all operations have values, because an event with an operation without a value is
+        discarded and changes nothing. `ended`: the condition that the effect has reached its end. Goals at a loop's
+        head do not assume `ended`."""
         found = []
         for wanted in goals:
             if wanted.at is None:
@@ -425,7 +432,7 @@ class _Output:
     def one(self, name: str, wanted: Goal, kind: Kind | None, assumed: tuple[LabelledFormula, ...]) -> Obligation:
         program, conjuncts = self.part_encoder.problem.program, wanted.conjuncts
         self.names[name] += 1
-        if self.names[name] > 1:  # the loop is inside an unrolled loop, so the name occurred before
+        if self.names[name] > 1:  # the loop is inside an unrolled loop, so the name is taken
             name = f"{name}-{self.names[name]}"
         goal = None
         if self.kind != "consistency":
@@ -443,15 +450,15 @@ class _Output:
     def satisfiable(self, name: str, assumed: tuple[LabelledFormula, ...]) -> Obligation:
         """Return an obligation that asks whether the event can reach its end.
 
-        The facts include the assumptions about the event's calls."""
+        The facts of the obligation include the assumptions about the event's calls."""
         found = self.one(name, Goal("", ()), "consistency", assumed)
         return replace(found, goal=None, expected="sat")
 
     def before(self, wanted: Goal) -> tuple[LabelledFormula, ...]:
         """Return the facts that a goal may use.
 
-        Two kinds of facts are left out: those from later points of the event; and those that state, after the
-        environment's step, the goal's own invariant or a later one."""
+        The result omits facts from later points of the event. It also omits facts that state, after the environment's
+        step, the goal's own invariant or a later invariant."""
         names = [p.name for p in self.part_encoder.problem.invariants]
         if wanted.invariant in names:
             names = names[names.index(wanted.invariant) :]
@@ -459,5 +466,5 @@ class _Output:
         return tuple([f for f in self.facts if f.position <= wanted.position and f.label not in later])
 
     def logic(self) -> str:
-        """Return the smallest logic of SMT-LIB that contains all terms of this part."""
+        """Return the smallest logic of SMT-LIB that contains all terms of the part."""
         return f"QF_UF{'N' if self.traits & t.NONLINEAR else 'L'}{'IRA' if self.traits & t.REALS else 'IA'}"

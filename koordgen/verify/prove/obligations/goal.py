@@ -1,4 +1,4 @@
-"""Goals: a property of a state, split into parts for arbitrary robots."""
+"""Goals of proofs: a property of a state, split into conjuncts about arbitrary robots."""
 
 from __future__ import annotations
 
@@ -52,9 +52,8 @@ def _parts(goals: _Goals, formula: ir.Expr, guard: Term) -> tuple[LabelledFormul
 class _Goals:
     """Builder that splits a goal into conjuncts.
 
-    For a goal after an event, each quantified robot is either the acting robot or another one; both cases become
-    conjuncts. A conjunct about other robots only, with no shared variable, has not changed since before the event. It
-    need not be shown."""
+    After an event, each quantified robot is the acting robot or another robot. Both cases become conjuncts. A conjunct
+    about other robots only, without an allwrite variable, is unchanged since before the event, so it needs no proof."""
 
     def __init__(self, part_encoder: PartEncoder, name: str, scope: Scope, bystanders: bool) -> None:
         self.part_encoder, self.context, self.name = part_encoder, part_encoder.context, name
@@ -89,15 +88,15 @@ class _Goals:
     def of_others(self, robots: tuple[Term, ...]) -> bool:
         """Return whether none of the robots is the acting robot.
 
-        If robots are numbers, the answer is False, since any of them may be the acting robot."""
+        If robots are named by numbers, the answer is False, because each number may be the acting robot's."""
         by_name = self.context.robots is None and self.context.own is not None
         return by_name and not self.bystanders and self.context.own not in robots
 
     def robots(self, chosen: tuple[Term, ...], more: bool) -> Iterator[tuple[Term, Term]]:
-        """Yield the terms for a quantified robot, each with the condition that it is a robot.
+        """Yield the terms for a quantified robot, each with the condition that the term is the pid of a robot.
 
-        If the number of robots is known, the terms are all pids. Otherwise they are the acting robot and one arbitrary
-        other robot. `more`: another quantifier follows directly."""
+        If the number of robots is known, the terms are all pids. Otherwise the terms are the acting robot and one
+        arbitrary other robot. `more`: another quantifier follows directly."""
         context = self.context
         if context.robots is not None:
             yield from [(t.integer(i), t.TRUE) for i in range(context.robots)]
@@ -126,7 +125,7 @@ class _Goals:
 
 
 def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
-    """Return whether a formula reads robots' variables only at the variables of its outer quantifiers."""
+    """Return whether a formula reads only variables of the robots in its outer quantifiers."""
     match formula:
         case ir.Logic("and", left, right):
             return _names_robots(left, variables) and _names_robots(right, variables)
@@ -145,7 +144,7 @@ def _names_robots(formula: ir.Expr, variables: frozenset[str]) -> bool:
 
 
 def formula_text(formula: ir.Expr) -> str:
-    """Return the text of a formula, close to how the program writes it."""
+    """Return a formula as text in Koord, similar to the program's text."""
     from koordgen.lang.ir.printer import expression
 
     return expression(formula)

@@ -1,9 +1,10 @@
-"""Interference: changes that other robots made in the round before an event.
+"""Interference: changes that other robots made in the same round before an event.
 
-Each robot runs at most one event per round. So for a variable that only robot j writes, there are two cases: it has its
-value at the round's start, or robot j ran an event that writes the variable. In the second case this event's guard held
-for j. With detail "most", the variable then also has the value that the event computes from the state at the round's
-start. This holds only for events without a lock, a loop, an answer of a port or an extern function.
+Each robot runs at most one event per round. So for a variable that only robot j writes, there are two cases. Either the
+variable has its value at the round's start, or robot j ran an event that writes the variable. In the second case, the
+event's guard held for j. With detail "most", the variable then also has the value that the event computes from the
+state at the round's start. This value is known only for events without a lock, a loop, a port's answer or an extern
+function.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now: SymbolicState) -> None:
-    """Assume how the slots, locals and cleared sensors of other robots may differ from the round's start."""
+    """Assume how other robots' slots, locals and cleared sensors may differ from the round's start."""
     context, program = part_encoder.context, part_encoder.problem.program
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in part_encoder.problem.types if key[0] in ("local", "slot")]
@@ -38,7 +39,7 @@ def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now:
         parts = [
             t.implies(as_term(now.of(key, robot)), as_term(round_start.of(key, robot)))
             for key in part_encoder.problem.cleared
-        ]  # a command clears a sensor such as `reached`; nothing else within a round sets it
+        ]  # Within a round, a command may clear a sensor such as `reached`, and nothing sets the sensor.
         for key in own:
             same = part_encoder.encoder.lists.same(now.of(key, robot), round_start.of(key, robot))
             ran = []
@@ -62,12 +63,14 @@ def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now:
 
 
 def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Term:
-    """Return the condition at the round's start under which `robot` may run the event in this round.
+    """Return the condition at the round's start under which `robot` may run the event in the round.
 
-    The condition includes that the guards of events with priority over this one are false. A transaction (an event with
-    a lock) reads what other robots wrote since the round's start. So only those conjuncts of its guard count that read
-    the robot's own variables."""
-    frame = SymbolicFrame(part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.know)
+    The condition includes that the guards of events with higher priority are false. A transaction (an event with a
+    lock) also reads values that other robots wrote since the round's start. Therefore only the conjuncts of its guard
+    that read the robot's own variables are used."""
+    frame = SymbolicFrame(
+        part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.assume_at_head
+    )
     parts = []
     with part_encoder.context.separate_demands():
         for part in conjuncts(event.guard):
@@ -79,10 +82,10 @@ def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event
 
 
 def _is_functional(event: decl.Event, program: decl.Program) -> bool:
-    """Return whether an event's writes are a function of what the robot read at the round's start.
+    """Return whether an event's writes depend only on the values that the robot read at the round's start.
 
-    This is not so for a transaction, for an event that uses a port's answer, or for an event with a loop. It is not so
-    for extern functions either, also if a function calls them: their contracts are known only where the call is made.
+    The answer is False for a transaction, for an event that uses a port's answer, and for an event with a loop. It is
+    also False if the event or any function calls an extern function: contracts are known only at the place of the call.
     """
     unknown = (ir.PortCall, ir.ExternCall, stmt.For, stmt.While)
     bodies = tuple([f.block for f in program.functions])
@@ -92,7 +95,13 @@ def _is_functional(event: decl.Event, program: decl.Program) -> bool:
 
 def _wrote(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event, robot: Term) -> Env:
     frame = SymbolicFrame(
-        part_encoder.encoder, robot, round_start, round_start, _no_port, temps_of(event.effect), part_encoder.know
+        part_encoder.encoder,
+        robot,
+        round_start,
+        round_start,
+        _no_port,
+        temps_of(event.effect),
+        part_encoder.assume_at_head,
     )
     with part_encoder.context.separate_demands():
         frame.block(event.effect)
@@ -107,4 +116,4 @@ def _own(key: Key, part: ir.Expr) -> bool:
 
 
 def _no_port(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-    raise AssertionError("a guard calls no port")
+    raise AssertionError("a guard calls a port")

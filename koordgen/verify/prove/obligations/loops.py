@@ -1,9 +1,8 @@
 """Loop invariants: the formulas that are assumed at each loop's head, chosen from the IR alone.
 
-Two kinds of formulas are assumed. Invariants that the program states at the loop are assumed unless one was found not
-to hold. The program's global invariants are candidates if they mention a loop-carried variable: they are assumed until
-they fail. Every formula assumed at a head has obligations: at loop entry and after each iteration
-(docs/reference/semantics.md).
+Two kinds of formulas are assumed. The first kind is an invariant that the program states at the loop. The second kind
+is a global invariant of the program that mentions a loop-carried variable. A formula that fails at the head is dropped.
+Every assumed formula has obligations at loop entry and after each iteration (docs/reference/semantics.md).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ INIT = "init"
 class LoopInvariants:
     """Loop invariants of one program.
 
-    `dropped`: formulas that were found not to hold at a loop's head."""
+    `dropped`: formulas that are known not to hold at a loop's head."""
 
     def __init__(
         self, program: decl.Program, mentions: Mapping[str, frozenset[Key]], known: Mapping[str, ir.Expr],
@@ -53,7 +52,7 @@ class LoopInvariants:
     def candidates(self, loop: Loop) -> Iterator[tuple[HeadFormula, decl.Property]]:
         """Yield the program's global invariants that mention a loop-carried variable, as candidates.
 
-        In `init`, such an invariant is stated about the acting robot itself."""
+        In `init`, a candidate is stated about the acting robot only."""
         owner, number = self.number[id(loop)]
         if owner not in self.events and owner != INIT:
             return

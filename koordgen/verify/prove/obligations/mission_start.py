@@ -1,8 +1,8 @@
 """Mission start: variables have their initial values, actuators hold, then every robot runs `init`.
 
-A mission begins when every robot's `init` has ended. If the semantics discards the `init` of a robot, no mission
-begins. So invariants at the start are shown only for fleets in which every `init` has a result. The separate obligation
-`(well-defined)` shows that no `init` is discarded.
+A mission begins after every robot's `init` has ended. If the semantics discards the `init` of a robot, no mission
+begins. So invariants at the start are proved only for fleets in which every `init` has a result. The separate
+obligation `(well-defined)` proves that no `init` is discarded.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
-    """Return the variables after an event: those that it wrote, and the sensors that its commands clear.
+    """Return the variables that an event changes: its writes, and the sensors that its commands clear.
 
-    A command clears a sensor by setting it to false."""
+    A command clears a sensor by setting the sensor to false."""
     found = {key: value for key, value in writes.items() if key[0] != "wrote"}
     commands: dict[Key, list[Term]] = {}
     for actuator, cleared in clears(program).items():
@@ -41,10 +41,10 @@ def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicStat
 class LaunchState:
     """State before any robot has run `init`.
 
-    - Each sensor is arbitrary, except that a sensor which commands clear is true.
-    - An actuator that holds at a sensor's value has this value; an arbitrary value if the program does not declare the
-      sensor.
-    - Any other actuator has its default value."""
+    - A sensor that a command can clear is true. Every other sensor is arbitrary.
+    - An actuator that holds at a sensor's value has this value. If the program does not declare the sensor, the
+      actuator's value is arbitrary.
+    - Every other actuator has its default value."""
 
     state_name = "@launch"
 
@@ -80,7 +80,7 @@ class InitRun:
     """Run of one robot's `init`.
 
     `env`: the values that `init` wrote.
-    `writes`: these values, and the sensors that the commands of `init` clear.
+    `writes`: the values that `init` wrote, and the sensors that the commands of `init` clear.
     `ended`: the condition that `init` reaches its end and all its operations have values."""
 
     def __init__(self, part_encoder: PartEncoder, launch: LaunchState, robot: Term) -> None:
@@ -93,7 +93,7 @@ class InitRun:
 
         encoding = part_encoder.problem.loops.encoding
         self.frame = SymbolicFrame(
-            part_encoder.encoder, robot, launch, launch, ask, temps_of(init), part_encoder.know, encoding
+            part_encoder.encoder, robot, launch, launch, ask, temps_of(init), part_encoder.assume_at_head, encoding
         )
         self.frame.brief = part_encoder.brief
         with context.separate_demands() as self.demands, context.outermost(), context.about("init", 0):
@@ -107,7 +107,7 @@ class InitRun:
 class StartState:
     """State after every robot has run `init`.
 
-    If several robots write the same allwrite variable, the write of the robot with the highest pid counts."""
+    If several robots write the same allwrite variable, the variable has the value of the robot with the highest pid."""
 
     state_name = "@ready"
 
@@ -145,7 +145,7 @@ class StartState:
             run = self.run(robot)
             return t.and_(context.within(robot), as_term(run.env.get(wrote, t.FALSE)))
 
-        with context.about("the highest pid counts", 0):
+        with context.about("the write of the highest pid counts", 0):
             context.robot(last)
             context.robot(t.integer(0))
             context.robot(t.subtract(context.size, t.integer(1)))
@@ -157,12 +157,12 @@ class StartState:
 
 
 def _named(block: stmt.Block) -> set[int]:
-    """Return the literals with which a block compares `pid`."""
+    """Return the int literals with which a block compares `pid`."""
     pairs = [(n.left, n.right) for n in walk(block) if isinstance(n, ir.Compare)]
     pairs += [(right, left) for left, right in pairs]
     return {b.value for a, b in pairs if isinstance(a, ir.Pid) and isinstance(b, ir.Const) and isinstance(b.value, int)}
 
 
 def assume_initially(part_encoder: PartEncoder, launch: LaunchState) -> None:
-    """Assume the program's `initially` properties."""
+    """Assume the program's `initially` properties in the state before `init`."""
     part_encoder.holds(part_encoder.problem.initially, launch)

@@ -1,4 +1,4 @@
-"""Proof problem, and the encoder of one part of a program with its assumptions."""
+"""Proof problem, and the encoder of a program part with its assumptions."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, StateCell, StateName
 from koordgen.verify.prove.smt.term import Term
 
-# Number of known facts that are added. "little" suffices for most proofs. "most" adds all facts, but solvers need long
-# to process them. Counterexamples satisfy the facts of "usual" or "most".
+# Level of detail: the amount of facts that are added to a proof. "little" suffices for most proofs. "most" adds all
+# facts, which takes solvers long. Counterexamples satisfy the facts of "usual" or "most".
 Detail = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
-# Largest number of value combinations at which an axiom is instantiated when axioms are checked against one another.
+# Largest number of value combinations at which an axiom is instantiated, when axioms are checked for contradictions.
 CHOICES = 16
-# Largest number of robots that are named by numbers. PAIRED applies if formulas quantify over pairs of robots, UNROLLED
-# otherwise.
+# Largest number of robots that are named by numbers: PAIRED if formulas quantify over pairs of robots, otherwise
+# UNROLLED.
 UNROLLED, PAIRED = 20, 4
 
 
@@ -40,9 +40,9 @@ class ProofProblem:
     """Proof problem: a program, its number of robots, and its fixed params.
 
     `robots`: the number of robots; None for any number.
-    `params`: the values of fixed params; all other params are arbitrary.
-    `detail`: how many of the known facts are added.
-    `dropped`: formulas that were found not to hold at heads of loops."""
+    `params`: the values of fixed params. All other params are arbitrary.
+    `detail`: the amount of facts that are added.
+    `dropped`: formulas that are known not to hold at heads of loops."""
 
     def __init__(
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
@@ -62,34 +62,34 @@ class ProofProblem:
         self.loops = LoopInvariants(program, self.mentions, self.params, numbered, dropped)
 
     def changed(self, event: decl.Event) -> set[Key]:
-        """Return the variables that an event may change, including sensors that its commands clear."""
+        """Return the variables that an event may change, including the sensors that its commands clear."""
         keys = {key for key in written(event.effect) if key[0] != "temp"}
         commanded = clears(self.program)
         cleared = {("port", sensor) for kind, name in keys if kind == "port" for sensor in commanded.get(name, ())}
         return keys | cleared
 
     def touched(self, keys: Collection[Key]) -> list[decl.Property]:
-        """Return the invariants that mention one of these variables.
+        """Return the invariants that mention at least one of the variables `keys`.
 
-        An event that writes only these variables preserves all other invariants (frame condition), so they have no
-        obligation."""
+        An event that writes only these variables preserves all other invariants (frame condition), so the other
+        invariants have no obligation for the event."""
         return [p for p in self.invariants if not self.mentions[p.name].isdisjoint(keys)]
 
 
 class PartEncoder:
-    """Encoder of one part of a program. The part's obligations share the encoder's facts."""
+    """Encoder of one part of a program. The part's obligations share the facts of the encoder."""
 
     def __init__(self, problem: ProofProblem, thorough: bool = False) -> None:
-        """Begin to encode a part. `thorough` adds all facts about distances, whatever the problem's detail."""
+        """Begin to encode a part. `thorough` adds all facts about distances, for every detail level."""
         self.thorough = thorough or problem.detail == "most"
         program = problem.program
         self.problem = problem
         self.brief = problem.detail == "little"
         self.context = ProofContext(program, problem.robots, problem.unrolled)
         self.params: dict[str, Val] = {}
-        # id of an axiom's trigger -> number of calls at which the axiom was already instantiated
+        # id of an axiom's trigger -> number of calls at which the axiom has been instantiated
         self.looked: dict[int, int] = {}
-        self.functions = Functions(self.context, self.params, self.know, self.brief and not thorough)
+        self.functions = Functions(self.context, self.params, self.assume_at_head, self.brief and not thorough)
         self.encoder = self.functions.encoder
         self.encoder.geometry.brief = self.brief and not thorough
         for param in program.params:
@@ -104,10 +104,10 @@ class PartEncoder:
         name = symbol(param.name)
         return build(param.type, iter([t.constant(name + suffix, sort) for suffix, sort in shape(param.type)]))
 
-    # Assumptions
+    # Formulas that the proof assumes
 
     def rigid(self, formula: ir.Expr) -> None:
-        """Assume, for all states, those parts of an `initially` formula that read params only.
+        """Assume, in all states, the parts of an `initially` formula that read only params.
 
         Params never change, so such a part holds in every state."""
         for part in conjuncts(formula):
@@ -130,7 +130,7 @@ class PartEncoder:
     def assume(self, formula: ir.Expr, scope: Scope, guard: Term = t.TRUE) -> None:
         """Add a formula as a fact under the condition `guard`.
 
-        A universal formula is registered, and instantiated later."""
+        A universal formula is registered now and instantiated later."""
         match formula:
             case ir.Logic("and", left, right):
                 self.assume(left, scope, guard)
@@ -158,12 +158,12 @@ class PartEncoder:
             case _:
                 self.context.fact(t.implies(guard, self.encoder.defined(formula, scope)))
 
-    def know(self, head: LoopHead) -> None:
+    def assume_at_head(self, head: LoopHead) -> None:
         """Assume the formulas at a loop's head, for all program points after the head.
 
-        The formulas hold before each iteration and after the last one.
-        SOUND: they are assumed only for pids of robots. At the mission's start, `init` is encoded for int terms that
-        may not be pids; nothing may be assumed about the result of such an encoding."""
+        The formulas hold before each iteration and after the last iteration.
+        SOUND: the formulas are assumed only for pids of robots. At the mission's start, `init` is encoded for int terms
+        that may not be pids. Nothing may be assumed about such an encoding."""
         loops, place, own = self.problem.loops, head.turn, head.turn.frame.pid
         in_event = place.frame.now is not None
         reached = t.and_(place.reached, self.context.within(own)) if in_event else place.reached
@@ -184,8 +184,9 @@ class PartEncoder:
     def at_head(self, at: HeadFormula, property_: decl.Property, state: UpdatedState) -> tuple[ir.Expr, FleetScope]:
         """Return an invariant as it is assumed at a loop's head, with the scope for its names.
 
-        In an event, the invariant is stated about the state as if the event ended at the head. In `init`, it is stated
-        about the acting robot itself, since other robots may or may not have run their `init` yet."""
+        In an event, the invariant is stated about the state that the fleet would have if the event ended at the head.
+        In `init`, the invariant is stated about the acting robot only, since other robots may not have run their `init`
+        yet."""
         scope, formula = FleetScope(state), property_.formula
         while at.owner == INIT and isinstance(formula, ir.Quantified) and formula.kind == "forall":
             if not isinstance(formula.domain, ir.Ids):
@@ -214,7 +215,7 @@ class PartEncoder:
             self.context.for_all(instance)
 
     def answered(self, port: ir.PortCall, args: tuple[Val, ...], answer: Val, pid: Term, state: SymbolicState) -> None:
-        """Assume the program's assumptions about a callable port's answer, for the arguments of this call."""
+        """Assume the program's assumptions about a callable port's answer, for the arguments of one call."""
         name = f"{port.module}.{port.port}"
         for module in self.problem.program.modules:
             for assumption in module.assumptions if module.name == port.module else ():
@@ -224,7 +225,7 @@ class PartEncoder:
     def _of_answer(self, part: ir.Expr, port: ir.PortCall, args: tuple[Val, ...], scope: RobotScope) -> None:
         """Assume one formula about a port's answer, if the formula is about the time of the call.
 
-        A formula with primed ports or actuators is about a later time, when these ports may have other values."""
+        A formula that reads primed ports or actuators is about a later time, when these ports may have other values."""
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
         reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
         ports = {("port", f"{n.module}.{n.port}") for n in reads}
@@ -238,7 +239,7 @@ class PartEncoder:
             try:
                 self.context.fact_if_reached(self.encoder.defined(part, scope))
             except (UnknownAnswer, KeyError):
-                return  # the formula calls the port with other arguments, too, and those answers are unknown
+                return  # the formula also calls the port with other arguments, whose answers are unknown
 
     def any_answers(self, state: SymbolicState) -> None:
         """Assume that each callable port with assumptions gives an answer, for arbitrary arguments."""
@@ -252,8 +253,8 @@ class PartEncoder:
     def any_axioms(self) -> None:
         """Instantiate each axiom at two arbitrary values of each type.
 
-        All axioms use the same values, so that a contradiction between axioms becomes visible. SOUND: an axiom holds
-        for all values, so it holds for these."""
+        All axioms use the same values, so that a contradiction between axioms becomes visible.
+        SOUND: an axiom holds for all values, so it holds for the chosen values."""
         values: dict[Type, tuple[Val, Val]] = {}
         for axiom, free, _ in self.problem.axioms:
             for type_ in free.values():
@@ -278,7 +279,7 @@ class PartEncoder:
                     self.context.fact(formula, line=line)
 
     def is_assumed_of_calls(self, fact: LabelledFormula) -> bool:
-        """Return whether a fact is an assumption about a function or a callable port that an event calls."""
+        """Return whether a fact is an assumption about a called function or a called port."""
         return fact.label.startswith(("contract of ", "axiom ", "assume of "))
 
     def axioms(self) -> None:
@@ -291,7 +292,7 @@ class PartEncoder:
                     self._axiom(axiom, trigger)
 
     def _axiom(self, axiom: decl.Property, trigger: Trigger) -> None:
-        """Instantiate an axiom at each call of its trigger at which it was not yet instantiated."""
+        """Instantiate an axiom at each call of its trigger that is new since the last instantiation."""
         met = self.encoder.calls.get(trigger.name, [])
         done = self.looked.get(id(trigger), 0)
         self.looked[id(trigger)] = len(met)
@@ -302,10 +303,10 @@ class PartEncoder:
             self.context.fact(self.encoder.defined(axiom.formula, scope))
 
     def close(self) -> tuple[LabelledFormula, ...]:
-        """Return all facts of the part, after all its goals were encoded.
+        """Return all facts of the part. Call this method after all goals have been encoded.
 
-        Lemmas about distances introduce new distances. For these, lemmas are added one more time, or two more times if
-        `thorough`."""
+        Lemmas about distances introduce new distances, which need lemmas again. Lemmas are added in up to two rounds,
+        or in up to three rounds if `thorough`."""
         for _ in range(3 if self.thorough else 2):
             many = len(self.context.facts)
             self.context.instantiate()
@@ -316,7 +317,7 @@ class PartEncoder:
         return tuple(self.context.facts)
 
     def cells(self, states: Iterable[tuple[StateName, SymbolicState]]) -> tuple[StateCell, ...]:
-        """Return the variables of all robots that occur, as terms. Counterexamples show their values.
+        """Return the variables of all robots in the part, as terms whose values a counterexample shows.
 
         With detail "little", the result is empty."""
         if self.brief:
@@ -334,13 +335,13 @@ class PartEncoder:
 
 
 class _Nowhere:
-    """Placeholder for a state, for formulas that read params only. Reading a variable is an error."""
+    """Placeholder for a state, used for formulas that read only params. Reading a variable is an error."""
 
     types: Mapping[Key, Type] = {}
     state_name = ""
 
     def of(self, key: Key, robot: Term) -> Val:
-        raise AssertionError(f"{key} is read where only params may be read")
+        raise AssertionError(f"a formula that may read only params reads {key}")
 
 
 def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
@@ -353,7 +354,7 @@ def _triggers(axiom: ir.Expr) -> tuple[dict[str, Type], list[Trigger]]:
 
 
 def _pairs(formula: ir.Expr, around: bool = False) -> bool:
-    """Return whether a formula has a quantifier over robots inside another quantifier over robots."""
+    """Return whether a formula nests one quantifier over robots inside another."""
     for node in walk(formula):
         if isinstance(node, ir.Quantified) and isinstance(node.domain, ir.Ids):
             return around or _pairs(node.body, True)

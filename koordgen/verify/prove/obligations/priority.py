@@ -1,8 +1,8 @@
 """Facts from `priority:` blocks, for the obligations of an event.
 
-An event runs only if the guard of every earlier event of its block has a value and is false. The guards are evaluated
-on the state that the robot sees at the round's start: its own variables, ports and slots, which no other robot changes,
-and the shared store of that time.
+An event runs only if the guard of every earlier event of its `priority:` block has a value and is false. The guards are
+evaluated on the state that the robot sees at the round's start. This state consists of the robot's own variables, ports
+and slots, which no other robot changes, and the shared store at the round's start.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ def assume_priority(
 ) -> None:
     """Assume that earlier events of the event's `priority:` block cannot run in the robot `own`.
 
-    The guards of these events have values and are false.
+    The guards of the earlier events have values and are false.
     `now`: the state in which the robot acts.
     `round_start`: the state at the round's start."""
     context = part_encoder.context
     for earlier in part_encoder.problem.program.earlier(event):
         with context.about(f"guard of {earlier.name} (earlier, by priority)", earlier.guard.span.line):
             with context.separate_demands() as demands:
-                frame = SymbolicFrame(part_encoder.encoder, own, now, round_start, _no_port, {}, part_encoder.know)
+                frame = SymbolicFrame(
+                    part_encoder.encoder, own, now, round_start, _no_port, {}, part_encoder.assume_at_head
+                )
                 guard = part_encoder.encoder.term(earlier.guard, frame)
             for demand in demands:
                 context.fact(demand.term)
@@ -37,4 +39,4 @@ def assume_priority(
 
 
 def _no_port(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
-    raise AssertionError("a guard calls no port")
+    raise AssertionError("a guard calls a port")

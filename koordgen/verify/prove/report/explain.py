@@ -1,4 +1,4 @@
-"""Explanation of a failed obligation: a counterexample, a run to it, and a suggested strengthening."""
+"""Explanation of a failed obligation: counterexample, run to the counterexample, suggestion."""
 
 from __future__ import annotations
 
@@ -25,24 +25,25 @@ from koordgen.verify.prove.smt.term import REAL, EncodingTooLarge, Term, equals,
 if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import ObligationResult
 
-# Fleet sizes in which a counterexample is searched. Small fleets come first, since they are easier to read.
+# Numbers of robots for which a counterexample is searched. Small fleets come first because they are easier to read.
 FLEETS = (1, 2, 3, 4)
-QUERY_SECONDS = 1.0  # Limit in seconds for each query to the solver while a failure is explained.
-SEARCH_SECONDS = 4.0  # Limit in seconds for the search for a counterexample that the semantics can run.
-STRENGTHENING_SECONDS = 1.0  # Limit in CPU seconds, including the solver's, for the search for a strengthening.
+QUERY_SECONDS = 1.0  # limit in seconds for each query to the solver while a failure is explained
+SEARCH_SECONDS = 4.0  # limit in seconds for the search for a counterexample that the semantics can run
+STRENGTHENING_SECONDS = 1.0  # limit in CPU seconds, including the solver's, for the search for a strengthening
 
 
 class FailureExplanation(NamedTuple):
     """Reason why an invariant is not proved.
 
-    `counterexample`: a step that violates the invariant; None if none can be shown.
-    `run`: a run from an initial state to a state in which the invariant is false. If it is None, no run was found: then
-        the counterexample's first state may be unreachable, and it only shows that the invariant is not inductive.
-    `unshown`: the reason why there is no counterexample although the solver claims one.
+    `counterexample`: a step that violates the invariant; None if no such step can be shown.
+    `run`: a run from an initial state to a state in which the invariant is false; None if no run was found. Without a
+        run, the counterexample's first state may be unreachable, and the counterexample only shows that the invariant
+        is not inductive.
+    `unshown`: the reason why no counterexample is shown although the solver reports one.
     `lacking`: conjuncts that would make the invariant inductive.
     `with_defaults`: whether the invariant is proved if the params have their default values.
     `unassumed`: sensors about which the program assumes nothing.
-    `supposed`: assumptions about these sensors with which, together with `lacking`, the invariant is proved."""
+    `supposed`: assumptions about the `unassumed` sensors that, together with `lacking`, prove the invariant."""
 
     counterexample: Counterexample | None
     run: CounterexampleRun | None
@@ -72,7 +73,7 @@ class Explainer:
     def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
         """Explain why obligations of the invariant `name` fail.
 
-        `relied` is the program with the invariants that these obligations assumed."""
+        `relied`: the program with the invariants that these obligations assumed."""
         try:
             return self._explained(name, group, relied)
         except EncodingTooLarge as error:
@@ -120,7 +121,7 @@ class Explainer:
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
         """Return a counterexample in the smallest possible fleet.
 
-        Raises Unshowable with the first reason why a counterexample could not be shown."""
+        Raises Unshowable, with the first reason, if no counterexample can be shown."""
         program = exact(relied)
         reasons: list[str] = []
         until = time.monotonic() + SEARCH_SECONDS
@@ -142,13 +143,13 @@ class Explainer:
                         reasons.append(str(error))
                     except OutOfTime:
                         reasons.append("the run of the counterexample takes too long")
-        raise Unshowable(reasons[0] if reasons else f"there is none for 1 to {FLEETS[-1]} robots")
+        raise Unshowable(reasons[0] if reasons else f"no counterexample found for 1 to {FLEETS[-1]} robots")
 
     def models(self, obligation: Obligation, program: decl.Program, reader: ModelReader) -> Iterator[SolverAnswer]:
-        """Yield models of a failed obligation, the most readable ones first.
+        """Yield models of a failed obligation, the most readable models first.
 
-        The first query asks for whole numbers and the params' default values, the second for whole numbers, the third
-        for arbitrary values."""
+        The first query asks for whole numbers and the params' default values. The second query asks for whole numbers,
+        the third query for arbitrary values."""
         reals = [t for cell in obligation.cells for t in cell.terms if t.sort is REAL]
         whole = reader.short() + [equals(to_real(to_int(t)), t) for t in dict.fromkeys(reals)]
         with_defaults = list(_usual(obligation, program))
@@ -162,7 +163,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
         """Return all obligations of one event, for a fleet of `robots` robots.
 
-        If the failed formula belongs to a loop's head, it was dropped; here it is assumed again."""
+        If the failed formula belongs to a loop's head, the formula was dropped. The new obligations assume it again."""
         key = (program, robots, failed.event, failed.at)
         if key not in self.made:
             dropped = self.dropped - {failed.at}
@@ -170,7 +171,7 @@ class Explainer:
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
-        """Return conjuncts that prove the invariant together with the proved ones; None if none are found."""
+        """Return conjuncts that, with the proved invariants, prove `invariant`; None if none are found."""
         until = time.process_time() + STRENGTHENING_SECONDS
         solving = 0.0
         base = replace(proved, properties=(*proved.properties, invariant))
@@ -178,9 +179,8 @@ class Explainer:
         def proves(program: decl.Program, names: frozenset[str]) -> frozenset[str]:
             nonlocal solving
             bad: set[str] = set()
-            # Ask about any number of robots: an invariant that is proved for any number is proved for this one, and the
-            # solver
-            # decides these obligations faster.
+            # Ask about any number of robots: an invariant that is proved for any number holds for this number, too. The
+            # solver decides these obligations faster.
             for obligation in obligations(program, None, self.params, dropped=self.dropped):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
@@ -198,7 +198,7 @@ class Explainer:
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:
     """Yield the formulas "this param has its default value"."""
-    # initial values of variables may have no exact representation, so the program's variables are left out
+    # The program's variables are left out, because their initial values may have no exact representation.
     values = initial(replace(program, shared=(), locals=(), modules=()), 1).params
     for cell in obligation.cells:
         parts = flat(values.get(cell.name))
@@ -211,6 +211,6 @@ def invariant_of(program: decl.Program, name: str) -> decl.Property:
 
 
 def _values(shown: Counterexample) -> list[KoordValue]:
-    """Return the values of all ports of all robots in a counterexample: sensors and commands."""
+    """Return the values of all ports (sensors and commands) of all robots in a counterexample."""
     states = (shown.before, shown.after)
     return [value for state in states for robot in state.robots for value in robot.ports.values()]

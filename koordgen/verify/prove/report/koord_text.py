@@ -1,4 +1,4 @@
-"""Formulas as Koord text, for messages and suggestions to users."""
+"""Formulas as text in Koord, for messages and suggestions to users."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_DIGITS = 9
 
 
 def to_koord(node: ir.Expr) -> str:
-    """Return an expression in Koord, without superfluous brackets."""
+    """Return an expression as text in Koord, without superfluous brackets."""
     return _text(node)[0]
 
 
@@ -62,7 +62,7 @@ def _conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _chained(parts: list[ir.Expr]) -> list[str]:
-    """Return the texts of conjuncts. `a <= b and b <= c` becomes `a <= b <= c`, as programs write it."""
+    """Return the texts of conjuncts. `a <= b and b <= c` becomes `a <= b <= c`."""
     found: list[str] = []
     last: ir.Expr | None = None
     for part in parts:
@@ -143,9 +143,9 @@ def _prime(primed: bool) -> str:
 
 
 def number(value: Fraction | int) -> str:
-    """Return a number as text, exactly if that is readable.
+    """Return a number as text, exactly if the exact text is readable.
 
-    Readable numbers are finite decimals and small fractions. Any other number is rounded and marked with `~`."""
+    Finite decimals and small fractions are readable. Every other number is rounded and marked with `~`."""
     exact = Fraction(value)
     if exact.denominator == 1 and abs(exact) < 10**15:
         return str(exact.numerator)

@@ -15,27 +15,27 @@ from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.smt.obligation import Obligation
 
 AGENTS = (
-    "agents and simulator check it at each call and discard the event if it does not hold (runtime/program/extern.py)"
+    "agents and simulator check the contract at each call and discard the event if it fails (runtime/program/extern.py)"
 )
-DISCARDED = "agents discard an event that would; a property that compares NaN has no value (`koordgen docs proofs`)"
-SIMULATOR = "the simulator watches it in each run (`koordgen docs sim`)"
+DISCARDED = "agents discard such an event; a property that compares NaN has no value (`koordgen docs proofs`)"
+SIMULATOR = "the simulator checks the assumption in each run (`koordgen docs sim`)"
 UNCHECKED = ""
-HARMLESS = "no check is needed: it can make a proof fail, but it cannot make a false proof"
+HARMLESS = "no check is needed: an approximation can make a proof fail, but cannot make a proof wrong"
 STARTED = "every robot's init has a result: otherwise no mission begins"
 AGENTS_START = (
-    "agents hold before round 1 until all have it, and a robot whose init is discarded ends (`koordgen docs safety`)"
+    "agents hold until every init has a result; a robot whose init is discarded ends (`koordgen docs safety`)"
 )
-COMPARED = "koordgen's own tests compare it with what robots compute (`koordgen docs proofs`)"
+COMPARED = "koordgen's own tests compare the lemma with the robots' computations (`koordgen docs proofs`)"
 LEMMAS = frozenset((DISTANCES, PATHS))
 
 
 class LedgerEntry(NamedTuple):
-    """One assumption of a verdict.
+    """Assumption of a verdict.
 
     `kind`: the kind of assumption.
     `text`: the assumption as text.
-    `line`: its line in the program; 0 if it is not stated in the program.
-    `checked`: the component that checks it at run time; empty if no component does."""
+    `line`: the assumption's line in the program; 0 if the program does not state the assumption.
+    `checked`: the component that checks the assumption at run time; empty if no component does."""
 
     kind: str
     text: str
@@ -45,7 +45,7 @@ class LedgerEntry(NamedTuple):
 
 
 class Ledger:
-    """Assumptions of one program."""
+    """Assumptions of the verdicts about one program."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -55,7 +55,7 @@ class Ledger:
     def of(self, obligations: Iterable[Obligation]) -> tuple[LedgerEntry, ...]:
         """Return the assumptions of some obligations.
 
-        These are the program's formulas among the obligations' facts, and the obligations' notes."""
+        The assumptions are the program's formulas among the obligations' facts, and the obligations' notes."""
         used: set[int] = set()
         notes: dict[str, None] = {}
         for obligation in obligations:
@@ -72,7 +72,7 @@ def _noted(note: str, program: decl.Program) -> LedgerEntry:
 
 
 def _written(program: decl.Program) -> Iterator[tuple[LedgerEntry, Span]]:
-    """Yield the assumptions that the program itself states, each with its position in the source text."""
+    """Yield the assumptions in the program's text, each with its position in the source."""
     for module in program.modules:
         for assumption in module.assumptions:
             text = f"{module.name}: {to_koord(assumption.formula)}"
@@ -93,7 +93,7 @@ def _written(program: decl.Program) -> Iterator[tuple[LedgerEntry, Span]]:
 def _watched(formula: ir.Expr, program: decl.Program) -> str:
     """Return the name of the component that checks a formula at run time.
 
-    No component can evaluate a `spec fun`, so a formula that calls one is not checked."""
+    No component can evaluate a `spec fun`, so a formula that calls a `spec fun` is not checked."""
     specs = {spec.name for spec in program.specs}
     return UNCHECKED if any(isinstance(n, ir.Call) and n.name in specs for n in walk(formula)) else SIMULATOR
 

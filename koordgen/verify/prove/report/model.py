@@ -1,8 +1,8 @@
 """Counterexamples: states from a solver's model, and the step that the executable semantics runs.
 
 The solver's answer `sat` is not trusted. The semantics runs the step with rational numbers, from a state in which the
-invariants hold. A counterexample is shown only if the run fails as the solver claims: an invariant is false afterwards,
-or the event has no result.
+invariants hold. A counterexample is shown only if the run fails as the solver claims: an invariant is false after the
+step, or the event has no result.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.node import replace
-from koordgen.lang.semantics.eval import Discarded, View, elements, holds
+from koordgen.lang.semantics.eval import Discarded, StateView, elements, holds
 from koordgen.lang.semantics.exact import NotExact, made_exact
 from koordgen.lang.semantics.exec import Budget, NoMeaning, library
 from koordgen.lang.semantics.property import holds_assumption, holds_property
@@ -35,7 +35,7 @@ class Conjunct(NamedTuple):
     """Conjunct that makes a formula false.
 
     `formula`: the conjunct.
-    `names`: the values of the quantified names that it reads."""
+    `names`: the values of the quantified names that the conjunct reads."""
 
     formula: ir.Expr
     names: Mapping[str, Value]
@@ -44,10 +44,10 @@ class Conjunct(NamedTuple):
 class Counterexample(NamedTuple):
     """Counterexample: a step that leads from a state in which all invariants hold to a failure.
 
-    `begun`: the shared store at the round's start, which a plain event reads.
-    `pid`: the robot that runs the event; None if all robots moved.
+    `begun`: the shared store at the round's start. An event without a lock reads this store.
+    `pid`: the robot that runs the event; None if the step moves all robots.
     `failed`: the conjunct that is false after the step; None if the event has no result.
-    `discarded`: the reason why the event has no result, if this is the failure.
+    `discarded`: the reason why the event has no result, if the failure is a missing result.
     `seen`: names of the variables that the obligation mentions."""
 
     invariant: str
@@ -65,7 +65,7 @@ class Counterexample(NamedTuple):
 
 
 class ModelStates:
-    """States of the program, built from the values that a solver's model gives to the variables."""
+    """States of the program, built from the variables' values in a solver's model."""
 
     def __init__(self, program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> None:
         self.obligation = obligation
@@ -77,8 +77,8 @@ class ModelStates:
     def value(self, cell: StateCell) -> Value:
         return self.reader.value(cell.type, cell.terms, cell.name)
 
-    def state(self, moment: StateName) -> State:
-        """Return the fleet in one of the obligation's states.
+    def state(self, state_name: StateName) -> State:
+        """Return one of the obligation's states of the fleet.
 
         A variable that the obligation does not mention has its initial value."""
         first = exact_state(initial(self.program, self.robots))
@@ -87,7 +87,7 @@ class ModelStates:
         slots = {name: list(values) for name, values in first.store.slots.items()}
         cells = dict(first.store.cells)
         for cell in self.obligation.cells:
-            if cell.state_name != moment or cell.name in first.params:
+            if cell.state_name != state_name or cell.name in first.params:
                 continue
             if cell.robot is None:
                 if cell.name in cells:
@@ -105,12 +105,12 @@ class ModelStates:
         store = Store({name: tuple(values) for name, values in slots.items()}, cells)
         return first._replace(robots=robots, store=store, round=1)
 
-    def has(self, moment: StateName) -> bool:
-        return any(cell.state_name == moment for cell in self.obligation.cells)
+    def has(self, state_name: StateName) -> bool:
+        return any(cell.state_name == state_name for cell in self.obligation.cells)
 
 
 def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Program:
-    """Return the program with the given values as the defaults of some params."""
+    """Return the program with `values` as the default values of params."""
     params = [replace(p, default=constant(values[p.name], p)) if p.name in values else p for p in program.params]
     return replace(program, params=tuple(params))
 
@@ -118,13 +118,13 @@ def with_values(program: decl.Program, values: Mapping[str, Value]) -> decl.Prog
 def constant(value: Value, param: decl.Param) -> ir.Expr:
     """Return a value as a constant expression.
 
-    The constant need not be well typed, for example it may be a fraction. Only the semantics, which does not check it,
-    may use the expression."""
+    The constant may be ill-typed, for example a fraction. Only the semantics may use the expression, because the
+    semantics does not check types."""
     return ir.Const(value, param.type, param.span)  # type: ignore[arg-type]
 
 
 def exact_state(state: State) -> State:
-    """Return a state with all its numbers converted to fractions."""
+    """Return a state in which all numbers are fractions."""
     robots = tuple(Robot(exact_all(r.locals), exact_all(r.ports), r.stopped) for r in state.robots)
     slots = {name: tuple(map(made_exact, values)) for name, values in state.store.slots.items()}
     return State(exact_all(state.params), robots, Store(slots, exact_all(state.store.cells)), state.round)
@@ -138,8 +138,8 @@ def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader
     """Run the step of a model with the executable semantics.
 
     `program`: the program with exact numbers and with the invariants that may be assumed.
-    `reader`: has read the model's values.
-    Raises Unshowable if the run does not show the failure that the solver claims."""
+    `reader`: the reader that has read the model's values.
+    Raises Unshowable if the run does not fail as the solver claims."""
     try:
         reading = ModelStates(program, obligation, reader, robots)
         match obligation.kind:
@@ -171,12 +171,12 @@ def _base(reading: ModelStates) -> Counterexample:
 def _init(reading: ModelStates) -> Counterexample:
     before, _, discarded = _ran_init(reading)
     if discarded is None:
-        raise Unshowable("init has a result when it is run")
+        raise Unshowable("init has a result when the semantics runs it")
     return _failed_step(reading, before.store, before, before, discarded.pid, str(discarded.outcome))
 
 
 def _ran_init(reading: ModelStates) -> tuple[State, State, Step | None]:
-    """Return the fleet before and after every `init`, and the first discarded `init`; None if none was."""
+    """Return the fleet before and after `init`, and the first discarded `init`; None if none is discarded."""
     before = reading.state("before" if reading.has("before") else "round start")
     for property_ in reading.program.properties:
         if property_.kind == "initially" and not is_true(property_, reading.program, before):
@@ -216,7 +216,7 @@ def is_allowed(
             for a in module.assumptions
         )
     except Discarded as error:
-        raise Unshowable(f"an assumption has no value in its step: {error.reason}") from None
+        raise Unshowable(f"an assumption has no value in the step of the counterexample: {error.reason}") from None
 
 
 def _event(reading: ModelStates) -> Counterexample:
@@ -253,7 +253,7 @@ def _event(reading: ModelStates) -> Counterexample:
                 return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
         if obligation.kind == "event" and not _are_all_true(obligation.invariant, program, after):
             return _failed_step(reading, begun, before, after, pid, "")
-        why = "the step preserves the invariant when it is run"
+        why = "the step preserves the invariant when the semantics runs it"
     raise Unshowable(why)
 
 
@@ -284,7 +284,7 @@ def _failed_step(
         if property_.name == obligation.invariant and property_.kind == "invariant":
             failed = failing_conjunct(property_, reading.program, after)
     if failed is None and not discarded:
-        raise Unshowable("the step preserves the invariant when it is run")
+        raise Unshowable("the step preserves the invariant when the semantics runs it")
     return _seen(reading, begun, before, after, pid, failed, discarded)
 
 
@@ -308,7 +308,7 @@ def failing_conjunct(property_: decl.Property, program: decl.Program, state: Sta
     return _failing_conjunct(property_.formula, view)
 
 
-def _failing_conjunct(node: ir.Expr, view: View) -> Conjunct | None:
+def _failing_conjunct(node: ir.Expr, view: StateView) -> Conjunct | None:
     try:
         if holds(node, view):
             return None
@@ -330,7 +330,7 @@ def _failing_conjunct(node: ir.Expr, view: View) -> Conjunct | None:
 def plain_value(value: Any) -> Any:
     """Return a value in a form that JSON can represent.
 
-    A number that would be rounded as a float becomes text."""
+    A number that a float cannot represent exactly becomes text."""
     match value:
         case bool() | int() | str():
             return value

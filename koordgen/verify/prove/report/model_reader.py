@@ -1,6 +1,6 @@
 """Model reader: chooses the terms that the solver must evaluate, and converts results to Koord values.
 
-A model describes a list by the functions for its length and its elements. Only short lists are read.
+In a model, a list is described by the functions for its length and its elements. Only short lists are read.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from koordgen.verify.prove.smt.term import (
 )
 from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, Sort, Term, apply, at_most, boolean, integer, real
 
-PATH = list_of(POINT)  # type of the answer of a PathPlanner
-SHORT = 4  # largest number of elements of a list that is read from a model
+PATH = list_of(POINT)  # type of a PathPlanner's answer
+SHORT = 4  # largest number of elements that a list read from a model may have
 
 
 class Unshowable(Exception):
-    """Raised if the semantics cannot run a counterexample; the message gives the reason."""
+    """Raised if the semantics cannot run a counterexample. The message gives the reason."""
 
 
 class ModelReader:
-    """Reader of models of one obligation.
+    """Reader of the models of one obligation.
 
-    It chooses the terms to evaluate, and converts the results to Koord values."""
+    The reader chooses the terms to evaluate, and converts the results to Koord values."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.known = {f.name: f for f in _functions(obligation)}
@@ -70,7 +70,7 @@ class ModelReader:
     def ask_for_answers(self) -> None:
         """Add the answers of callable ports to the terms to evaluate.
 
-        A symbol such as `Motion.planner@3` denotes an answer of a port in the obligation."""
+        A symbol such as `Motion.planner@3` denotes the answer of a port to one call."""
         for name, function in self.known.items():
             port, mark, number = name.partition("@")
             if mark and number.isdigit() and "." in port and not function.domain and function.result == Sort(str(PATH)):
@@ -84,7 +84,7 @@ class ModelReader:
         return [self.listed(PATH, term, port) for _, term in sorted(self.answers.get(port, []), key=lambda a: a[0])]
 
     def ask_for_list(self, type_: SequenceType, term: Term) -> None:
-        """Add the terms for a list's length and first elements."""
+        """Add the terms for the length and the first elements of a list."""
         for inner in self.parts_of(type_, term):
             self.terms[id(inner)] = inner
         length = self.length_of(type_, term)
@@ -96,7 +96,7 @@ class ModelReader:
         return apply(length, term) if length is not None else None
 
     def parts_of(self, type_: SequenceType, term: Term) -> Iterator[Term]:
-        """Yield the length, then the leaves of the first elements, if the obligation mentions them."""
+        """Yield the length and the leaves of the first elements of a list, if the obligation mentions them."""
         length = self.length_of(type_, term)
         if length is not None:
             yield length
@@ -186,18 +186,18 @@ def _any_of(sort: Sort) -> Term:
     """Return an arbitrary literal of a sort, for a part of a value that the obligation does not mention."""
     values = {"Int": integer(0), "Bool": boolean(False), "Real": real(0)}
     if sort.name not in values:
-        raise Unshowable(f"a value of type {sort.name} cannot be made up")
+        raise Unshowable(f"no value of type {sort.name} can be chosen for an element that the model leaves open")
     return values[sort.name]
 
 
 def _functions(obligation: Obligation) -> Iterator[FunctionSymbol]:
-    """Yield the symbols of an obligation."""
+    """Yield the function symbols in an obligation."""
     terms = [f.term for f in obligation.facts] + ([obligation.goal.term] if obligation.goal is not None else [])
     yield from Printer(terms).functions.values()
 
 
 def _leaves(type_: Type) -> Iterator[Type]:
-    """Yield the types of a value's leaves. A collection is one leaf."""
+    """Yield the types of the leaves of a value. A collection is one leaf."""
     match type_:
         case RecordType(_, fields):
             for _, field in fields:
@@ -211,7 +211,7 @@ def _leaves(type_: Type) -> Iterator[Type]:
 
 
 def flat(value: Any) -> tuple[Term, ...]:
-    """Return the literals of a value's parts, in the order in which the terms of a cell are flattened.
+    """Return the literals of a value's parts, in the order of the terms of a cell.
 
     The result is empty if a part is not a number."""
     match value:
@@ -227,8 +227,7 @@ def flat(value: Any) -> tuple[Term, ...]:
             return ()
 
 
-# Answers to the calls that an event makes, taken from a model. If the model does not determine the result of a call,
-# the
+# Answers to the calls of an event, taken from a model. If the model does not determine the result of a call, the
 # counterexample cannot be shown.
 
 
@@ -263,7 +262,7 @@ class ModelAnswers:
         return known[place]
 
     def check(self, state: State, pid: int) -> None:
-        """Raise Unshowable if the model has no answer to a call, or an answer that violates an assumption."""
+        """Raise Unshowable if the model has no answer to a call or the answer violates an assumption."""
         if self.missing:
             raise Unshowable(f"the result of {self.missing[0]} is known only by its contract and axioms")
         answered(self.program, state, pid, self.asked, self.world)

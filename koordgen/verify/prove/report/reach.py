@@ -1,8 +1,8 @@
 """Bounded search for a run from an initial state to a state in which an invariant is false.
 
-The semantics executes each run, so a run that is found is certainly possible. If no run is found, nothing is proved. To
-make the environment finite, each sensor takes only values that the program and the counterexample to induction mention,
-as far as the assumptions allow them.
+The semantics executes each run, so every run that the search finds is possible. If the search finds no run, nothing is
+proved. To make the environment finite, each sensor takes only values that the program and the counterexample to
+induction mention and that the assumptions allow.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ ENVIRONMENT = "(environment)"
 
 
 class SearchBounds(NamedTuple):
-    """Limits of the search.
+    """Limits of the search for a run.
 
-    `robots`: size of the largest fleet.
+    `robots`: number of robots of the largest fleet.
     `rounds`: length of the longest run, in rounds.
     `states`: largest number of runs that are extended in one round.
     `values`: largest number of values of one sensor.
     `moves`: largest number of joint moves of the whole fleet by the environment.
-    `seconds`: CPU seconds, so that the same runs are found on a busy computer."""
+    `seconds`: CPU seconds of the search. A busy computer then finds the same runs."""
 
     robots: int = 3
     rounds: int = 6
@@ -53,7 +53,7 @@ class SearchBounds(NamedTuple):
 
 
 class RunState(NamedTuple):
-    """State of a run, with the step that led to it.
+    """State of a run, with the step that led to the state.
 
     `event`: the step: "" for the first state, "init", an event's name, or "(environment)".
     `pid`: the robot that ran the event; None for other steps."""
@@ -67,7 +67,7 @@ class RunState(NamedTuple):
 class CounterexampleRun(NamedTuple):
     """Run from an initial state to a state in which an invariant is false.
 
-    `failed`: the conjunct of the invariant that is false.
+    `failed`: the conjunct of the invariant that is false in the last state.
     `of_agents`: whether robots' agents, which run events in a fixed order, can execute the run."""
 
     run_states: tuple[RunState, ...]
@@ -82,11 +82,12 @@ def run_to(
     bounds: SearchBounds,
     robots: int | None = None,
 ) -> CounterexampleRun | None:
-    """Return a run to a state in which the invariant is false; None if none was found.
+    """Return a run to a state in which the invariant is false; None if the search finds none.
 
     The search starts with one robot and adds robots up to `bounds.robots`, or uses exactly `robots` robots. It returns
-    a run with the fewest rounds for the first fleet size that has one. If agents cannot execute this run, a second
-    search with the same time limit looks for a run that they can execute, of at most the same number of rounds.
+    a run with the fewest rounds, in the first fleet size that has a run. If agents cannot execute this run, a second
+    search with the same time limit looks for a run that agents can execute. The second run has at most as many rounds
+    as the first.
 
     `program`: the program with exact numbers.
     `hints`: additional values that sensors may take."""
@@ -111,7 +112,7 @@ def _searched(
                 if found is not None:
                     return found
     except (NotExact, NoMeaning, OutOfTime):
-        return None  # a run with numbers that cannot be exact, or a run that takes too long, proves nothing
+        return None  # a run that takes too long, or whose numbers cannot be exact, proves nothing
     return None
 
 
@@ -139,7 +140,7 @@ class _RunSearch:
         layer: list[tuple[RunState, ...]] = []
         for start in self.starts(n_sys):
             ready, steps = run_init(self.program, start, self.world)
-            # no mission begins if an init is discarded
+            # If an `init` is discarded, no mission begins.
             if not any(isinstance(step.outcome, Discarded) for step in steps):
                 layer.append((RunState(start, "", None, 0), RunState(ready, "init", None, 0)))
         found = self.broken(layer)
@@ -147,7 +148,7 @@ class _RunSearch:
         while layer and found is None and layer[0][-1].round < self.bounds.rounds:
             reached = list(islice(self.rounds(layer, seen), self.bounds.states))
             found = self.broken(reached)
-            # only after a step of the environment does a new round begin
+            # A new round begins only after a step of the environment.
             layer = [run for run in reached if run[-1].event == ENVIRONMENT]
         return found
 
@@ -168,7 +169,7 @@ class _RunSearch:
     def starts(self, n_sys: int) -> Iterator[State]:
         """Yield at most `bounds.moves` initial states.
 
-        They combine values of the pools for the robots' sensors."""
+        The states combine values of the pools for the robots' sensors."""
         first = exact_state(initial(self.program, n_sys))
         rules = [p for p in self.program.properties if p.kind == "initially"]
         cleared = clearable(self.program)
@@ -186,17 +187,16 @@ class _RunSearch:
                 yield state
 
     def rounds(self, layer: list[tuple[RunState, ...]], seen: list[State]) -> Iterator[tuple[RunState, ...]]:
-        """Extend every run by one round: events, then a step of the environment.
+        """Extend every run by one round: first events, then a step of the environment.
 
-        In a round, either one robot runs an event, or all robots' agents run their events."""
+        In each round, either one robot runs an event, or all robots' agents run their events."""
         for run in layer:
             state = run[-1].state
             for stepped in (run, *self.stepped(run, state)):
                 if time.process_time() > self.until or len(seen) > self.bounds.states:
                     return
                 if stepped is not run:
-                    # the program's step is complete, so the invariant can be checked here, before the environment's
-                    # step
+                    # The program's step is complete, so the invariant can be checked before the environment's step.
                     yield stepped
                 for moved in self.moved(stepped[-1].state):
                     fresh = moved._replace(round=0)
@@ -261,7 +261,7 @@ class _RunSearch:
 class Pools:
     """Pools of values that the search tries for sensors.
 
-    For each type, a pool has at most `count` of the values that the program and the hints mention."""
+    The pool of a type contains at most `count` of the values that the program and the hints mention."""
 
     def __init__(self, hints: Iterable[Value], mentioned: Iterable[Value], count: int) -> None:
         self.hints, self.mentioned = tuple(hints), tuple(mentioned)
@@ -270,8 +270,8 @@ class Pools:
     def nearby(self, name: str, type_: Type, ports: Mapping[str, Value], state: State) -> list[tuple[str, Value]]:
         """Return the values to try for a sensor after a step, each with the sensor's name.
 
-        The values are the robot's other ports of the same type, such as commands; the sensor's old value; and the
-        type's pool."""
+        The first values are those of the robot's other ports of the same type, such as commands. The sensor's old value
+        and the type's pool follow."""
         commands = [v for other, v in ports.items() if other != name and _is(v, type_)]
         return [(name, v) for v in _distinct([*commands, ports[name], *self.pool(type_, state)])]
 

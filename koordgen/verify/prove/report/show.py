@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, InvariantVerdict
 
-if TYPE_CHECKING:  # imported only for type checking: a proof needs no code that shows counterexamples
+if TYPE_CHECKING:  # imported only for type checking, since a proof needs no code that shows counterexamples
     from koordgen.verify.prove.report.explain import FailureExplanation
 
 WIDTH = 100
@@ -22,11 +22,11 @@ class AttackCount(NamedTuple):
     reason: str
 
 
-Attacks = Mapping[str, AttackCount]  # name of an obligation -> its attacks
+Attacks = Mapping[str, AttackCount]  # name of an obligation -> its number of attack states
 
 
 def report(verdicts: Sequence[InvariantVerdict], path: str, attacks: Attacks) -> str:
-    """Return the text of all verdicts, followed by their assumptions."""
+    """Return the text of all verdicts, followed by the assumptions of the verdicts."""
     robots = verdicts[0].robots if verdicts else None
     fleet = "every number of robots" if robots is None else f"{robots} robot{'s' * (robots != 1)}"
     lines = [f"{path}, for {fleet}", ""]
@@ -60,21 +60,21 @@ def _verdict(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
     from koordgen.verify.prove.report.table import counterexample, run_lines
 
     if explanation.run is not None:
-        yield from wrapped("a run from an initial state, made by the executable semantics, ends where it is false:")
+        yield from wrapped("a run of the executable semantics from an initial state makes the invariant false:")
         yield from run_lines(explanation.run, explanation.counterexample)
         if suggestion(verdict):
             yield from wrapped(suggestion(verdict))
         return
     yield from counterexample(explanation.counterexample)
-    guarded = "guard it, or say in an invariant that it does not happen"
-    untold = guarded if verdict.invariant == WELL_DEFINED else "none of the conjuncts that were tried closes the proof"
+    guarded = "guard the operation, or state in an invariant that it always has a value"
+    untold = guarded if verdict.invariant == WELL_DEFINED else "none of the tried conjuncts completes the proof"
     yield from wrapped(suggestion(verdict) or untold)
 
 
 def attacked_states(verdict: InvariantVerdict, attacks: Attacks) -> int:
     """Return the number of states with which an invariant was attacked.
 
-    The obligations of one step share the same states, so these count once."""
+    The obligations of one step share the same states, so these states count once."""
     steps = {o.obligation.event: attacks[o.obligation.name].states for o in verdict.outcomes}
     return sum(steps.values())
 
@@ -92,30 +92,32 @@ def _unattacked(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
 
 
 def wrapped(text: str) -> list[str]:
-    """Return a sentence broken into lines of the text's width."""
+    """Return a sentence, broken into lines that fit the text's width."""
     return filled(text, "  ", "  ")
 
 
-def filled(text: str, first: str, rest: str) -> list[str]:
-    """Break a text into lines.
+def filled(text: str, first: str, later: str) -> list[str]:
+    """Break a text into lines of at most WIDTH columns.
 
-    `first` and `rest` are the prefixes of the first and of all other lines. The module textwrap is not used, because
-    its import takes 0.7 ms."""
+    `first`: the prefix of the first line.
+    `later`: the prefix of every other line.
+
+    The module textwrap is not used, because its import takes 0.7 ms."""
     lines, line = [], ""
     for word in text.split():
         if line and len(line) + 1 + len(word) > WIDTH:
             lines.append(line)
             line = ""
-        line = f"{line} {word}" if line else (rest if lines else first) + word
+        line = f"{line} {word}" if line else (later if lines else first) + word
     return [*lines, line]
 
 
 def suggestion(verdict: InvariantVerdict) -> str:
-    """Return a sentence that explains how to close the proof; empty if no explanation is known."""
+    """Return a sentence that explains how to complete the proof; empty if no explanation is known."""
     explanation = verdict.explanation
     if explanation is not None and explanation.with_defaults:
         return (
-            f"with the params as the program has them {verdict.invariant} is PROVED: say in `initially` what they must "
+            f"{verdict.invariant} is PROVED with the params' default values: state in `initially` what the params must "
             "satisfy, or fix them by --param"
         )
     if explanation is None:
@@ -124,10 +126,10 @@ def suggestion(verdict: InvariantVerdict) -> str:
     if explanation.unassumed:
         said = f"nothing is assumed about {' and '.join(explanation.unassumed)} after a step, so any value is possible"
         if not explanation.supposed:
-            return f"{said}; state what holds in an `assume` of the module"
+            return f"{said}; add an `assume` about the sensor to its module"
         supposed = " and ".join(f"`{assumption}`" for assumption in explanation.supposed)
         more = f", and {added} in {verdict.invariant}" if added else ""
-        return f"{said}; with {supposed}{more} it is PROVED"
+        return f"{said}; with {supposed}{more} the invariant is PROVED"
     return f"add {added} to {verdict.invariant}: then it is PROVED" if added else ""
 
 

@@ -1,9 +1,9 @@
 """Strengthening: finds conjuncts that make an invariant inductive.
 
-A candidate is a conjunct of an invariant or of an `initially` property, in which one variable is replaced by another
-one of the same type. For example, a bound of targets becomes a bound of positions. The Houdini algorithm finds the
-candidates that hold together: it assumes all of them and drops those that fail, until none fails. Then the candidates
-that the proof does not need are removed.
+A candidate is a conjunct of an invariant or of an `initially` property, with one variable replaced by another variable
+of the same type. For example, a bound of targets becomes a bound of positions. The Houdini algorithm finds the
+candidates that hold together: it assumes all candidates and drops those that fail, until none fails. Then the
+candidates that the proof does not need are removed.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Proves = Callable[[decl.Program, frozenset[str]], frozenset[str]]
 
 
 def strengthening(program: decl.Program, invariant: str, proves: Proves) -> tuple[str, ...]:
-    """Return conjuncts, as Koord text, with which the invariant is inductive; empty if none were found.
+    """Return conjuncts, as Koord text, that make the invariant inductive; empty if none are found.
 
-    `program`: the program with this invariant and those that may be assumed.
-    `proves`: returns those of the named invariants that every step preserves if all invariants of a program are
-        assumed."""
+    `program`: the program with `invariant` and the invariants that may be assumed.
+    `proves`: takes a program and names of invariants. It returns the names of the invariants that every step preserves,
+        if all invariants of the program are assumed."""
     for blocks in (True, False):
         found = _strengthening(program, invariant, _candidates(program, invariant, blocks), proves)
         if found:
@@ -62,12 +62,13 @@ def _with(program: decl.Program, more: Iterable[decl.Property]) -> decl.Program:
 
 
 def _candidates(program: decl.Program, invariant: str, blocks: bool) -> list[decl.Property]:
-    """Return candidate conjuncts for strengthening the invariant.
+    """Return candidate conjuncts for a strengthening of the invariant.
 
-    If `blocks`, all conjuncts about one variable are replaced together: they form one candidate about another variable.
+    If `blocks`, all conjuncts about one variable form one candidate, in which the variable is replaced by another
+    variable.
     """
     known = [p for p in program.properties if p.kind in ("invariant", "initially")]
-    known.sort(key=lambda p: p.name != invariant)  # predicates of the invariant itself come first
+    known.sort(key=lambda p: p.name != invariant)  # conjuncts of the invariant come before all others
     present = {to_koord(c) for p in known if p.kind == "invariant" for c in conjuncts(p.formula)}
     found: dict[str, ir.Expr] = {}
     for property_ in known:
@@ -122,7 +123,7 @@ def conjuncts(node: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
-    """Join conjuncts with the same quantifier that mention only one variable, the same for all of them."""
+    """Join conjuncts that have the same quantifier and mention only the same single variable."""
     found: dict[object, ir.Expr] = {}
     for part in parts:
         about = {_key(node) for node in walk(part)} - {None}
@@ -138,7 +139,7 @@ def _blocks(parts: list[ir.Expr]) -> list[ir.Expr]:
 
 
 def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
-    """Yield variants of a formula in which one variable is replaced everywhere by another of its type."""
+    """Yield variants of a formula in which one variable is replaced by another variable of the same type."""
     subjects: dict[tuple[str, str], Type] = {}
     for node in walk(formula):
         key = _key(node)
@@ -155,7 +156,7 @@ def _variants(formula: ir.Expr, program: decl.Program) -> Iterator[ir.Expr]:
 
 
 def _variables(program: decl.Program) -> Iterator[tuple[tuple[str, str], Type]]:
-    """Yield every variable of which each robot has its own copy: its key and its type."""
+    """Yield every variable that exists once per robot: its key and its type."""
     for module in program.modules:
         for port in module.ports:
             if port.direction in ("actuator", "sensor"):
@@ -183,7 +184,7 @@ def _key(node: object) -> tuple[str, str] | None:
 
 
 def _renamed(node: ir.Expr, key: tuple[str, str], other: tuple[str, str]) -> ir.Expr:
-    """Replace all reads of the variable `key` by reads of `other`, except within the index of such a read."""
+    """Replace all reads of the variable `key` by reads of `other`, except inside the index of such a read."""
     if isinstance(node, _READS) and _key(node) == key:
         return _read(other, node.index if isinstance(node, ir.SlotRead) else node.robot, node)
     return map_children(node, lambda child: _renamed(child, key, other))
@@ -202,8 +203,8 @@ def _read(key: tuple[str, str], robot: ir.Expr, like: Any) -> ir.Expr:
             return ir.PortOf(kind.removeprefix("port "), name, robot, like.type, like.span)
 
 
-# Sensors whose values after a step are not constrained by any assumption, so that every invariant about them fails.
-# For such a sensor an assumption is suggested: the robot stays in the box between its position and its target.
+# Sensors that no assumption constrains after a step, so that every invariant about them fails. The suggested assumption
+# about such a sensor: the robot stays in the box between its position and its target.
 
 Sensor = tuple[decl.Module, decl.Port]
 
@@ -224,8 +225,8 @@ def unassumed(program: decl.Program, invariant: decl.Property) -> list[Sensor]:
 def with_position_assumptions(program: decl.Program, sensors: Iterable[Sensor]) -> tuple[decl.Program, tuple[str, ...]]:
     """Add an assumption about each position sensor among `sensors` that has a target.
 
-    A sensor has a target if an actuator sends the robot to a position. Return the program with these assumptions, and
-    the texts of the assumptions."""
+    A sensor has a target if an actuator sends the robot to a position. Returns the program with the new assumptions,
+    and the texts of these assumptions."""
     modules, texts = {m.name: m for m in program.modules}, []
     for module, port in sensors:
         goal = next((p.name for p in module.ports if p.meaning.held == port.name), None)

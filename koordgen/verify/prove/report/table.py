@@ -1,4 +1,4 @@
-"""Counterexamples and runs as tables of at most 100 columns, and as data for JSON."""
+"""Counterexamples and runs, as tables of at most 100 columns and as data for JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHANGED = "*"
 
 
 def wrapped(text: str, indent: str = "  ") -> list[str]:
-    """Return a sentence broken into lines of the table's width."""
+    """Return a sentence, broken into lines that fit the table's width."""
     lines = textwrap.wrap(
         text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
@@ -28,7 +28,7 @@ def wrapped(text: str, indent: str = "  ") -> list[str]:
 
 
 def counterexample(found: Counterexample) -> Iterator[str]:
-    """Yield a counterexample as lines: the step, the conjunct that becomes false, and the table of values."""
+    """Yield the lines of a counterexample: the step, the conjunct that becomes false, the table of values."""
     yield from wrapped(f"{_step(found)}:")
     yield from failed_lines(found.failed, found.discarded, found.file)
     yield ""
@@ -53,7 +53,7 @@ def failed_lines(failed: Conjunct | None, discarded: str, file: str) -> list[str
 
 
 def table(found: Counterexample) -> Iterator[str]:
-    """Yield the table of robots and variables before and after a step, with a mark at each change."""
+    """Yield the table of variables before and after a step, with a mark at each change."""
     constants = {"N_SYS": len(found.before.robots), **found.before.params}
     yield from wrapped("  ".join(f"{name} = {shown(value)}" for name, value in constants.items()))
     rows = [("robot", "variable", "before", "after")]
@@ -69,7 +69,7 @@ def table(found: Counterexample) -> Iterator[str]:
 def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
     """Yield the owner, name, value before and value after of each relevant variable.
 
-    The robots' variables come first, then shared variables."""
+    The robots' own variables come first, then the shared variables."""
     before, after = found.before, found.after
     for pid, (old, new) in enumerate(zip(before.robots, after.robots, strict=True)):
         for name, value in own(before, pid).items():
@@ -88,7 +88,7 @@ def cells(found: Counterexample) -> Iterator[tuple[str, str, Any, Any]]:
 
 
 def own(state: State, pid: int) -> dict[str, Any]:
-    """Return one robot's variables: its locals, its ports, its slots."""
+    """Return one robot's variables: its locals, its ports and its slots."""
     robot: Robot = state.robots[pid]
     slots = {name: values[pid] for name, values in state.store.slots.items()}
     return {**robot.ports, **robot.locals, **slots}
@@ -153,7 +153,7 @@ def _changes(old: State | None, new: State) -> Iterator[str]:
 
 
 def data(found: Counterexample, run: CounterexampleRun | None) -> dict[str, Any]:
-    """Return a counterexample for JSON."""
+    """Return a counterexample as data for JSON."""
     rows = [
         {"robot": int(owner) if owner else None, "variable": name, "before": shown(before), "after": shown(after)}
         for owner, name, before, after in cells(found)
@@ -175,7 +175,7 @@ def data(found: Counterexample, run: CounterexampleRun | None) -> dict[str, Any]
 
 
 def run_states_data(run_states: Sequence[RunState]) -> list[dict[str, Any]]:
-    """Return a run for JSON."""
+    """Return a run as data for JSON."""
     return [_run_state(m.event, m.pid, m.round, m.state) for m in run_states]
 
 
@@ -189,7 +189,7 @@ def _texts(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def shown(value: Any) -> str:
-    """Return a value as a program writes it."""
+    """Return a value as text in the notation of programs."""
     match value:
         case bool():
             return str(value)

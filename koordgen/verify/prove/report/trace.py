@@ -1,4 +1,4 @@
-"""Trace of a counterexample (docs/reference/trace.md), for simulators and replayers."""
+"""Trace of a counterexample (docs/reference/trace.md), as input for simulators and replayers."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from koordgen.runtime.trace.schema import (
     FORMAT,
     LEFT_OUT,
     Header,
-    Pose,
+    PoseRecord,
     RobotName,
     Round,
-    Shared,
+    SharedVariable,
     TraceRecord,
     Violation,
     plain,
@@ -33,7 +33,8 @@ from koordgen.verify.prove.report.reach import RunState, no_path
 
 UNMOVED = ("", "(environment)")  # steps in which no robot acts
 
-# Arguments: pid, values of the robot's sensors, callable port, arguments of the call. Result: the possible answers.
+# Function with the arguments: pid, values of the robot's sensors, callable port, arguments of the call. It returns the
+# possible answers to the call.
 Answers = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 
 
@@ -54,9 +55,9 @@ class RunOrigin(NamedTuple):
 def trace(program: decl.Program, explanation: FailureExplanation, about: RunOrigin) -> str:
     """Return the trace of a counterexample as JSON lines; empty if there is no counterexample.
 
-    The records are a header, then each step as a round of each robot, and the violation last. A robot's record has a
-    position if a sensor measures it. Each round takes one second. A number that is not a float is written as a
-    fraction, as text."""
+    The records are a header, the steps and the violation. For each step, every robot has one round record. If a sensor
+    measures a robot's position, the record is preceded by the position. Each round takes one second. A number that is
+    not a float is written as text, as a fraction."""
     found = explanation.counterexample
     if found is None:
         return ""
@@ -79,9 +80,9 @@ def run_trace(
 ) -> str:  # fmt: skip
     """Return the trace of a run as JSON lines.
 
-    `violated`: the property that is false in the last state, its line in the program, and details; None if there is
-        none.
-    `culprit`: the robot and the event that would come next but have no result, if this is the failure."""
+    `violated`: the property that is false in the last state, its line in the program, and details; None if no property
+        is false.
+    `culprit`: the robot and its next event, if the failure is that this event has no result; otherwise None."""
     lines: list[TraceRecord] = [_header(program, run_states, about), *_steps(program, run_states, about)]
     if violated is not None:
         name, line, detail = violated
@@ -111,7 +112,7 @@ def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunO
         seed=0,
         robots=tuple([RobotName(f"robot{pid}", pid, "proof") for pid in range(len(state.robots))]),
         duration=float(run_states[-1].round),
-        shared=tuple([Shared(v.name, v.kind, str(v.type)) for v in program.shared]),
+        shared=tuple([SharedVariable(v.name, v.kind, str(v.type)) for v in program.shared]),
         applications=(program.name,),
         counterexample="step" if run_states[0].round else "run",
         params=_plain(state.params),
@@ -119,7 +120,7 @@ def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunO
     )
 
 
-def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[Pose | Round]:
+def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[PoseRecord | Round]:
     sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
     for index, run_state in enumerate(run_states):
         state = run_state.state
@@ -130,7 +131,7 @@ def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOr
             place = next((robot.ports[name] for name in positions(program)), None)
             if isinstance(place, Point):
                 position = (float(place.x), float(place.y), float(place.z))
-                yield Pose(pid, position, 0.0, LEFT_OUT, float(run_state.round))
+                yield PoseRecord(pid, position, 0.0, LEFT_OUT, float(run_state.round))
             yield Round(
                 round=run_state.round,
                 event=run_state.event if acted and run_state.event not in UNMOVED else None,
@@ -156,11 +157,11 @@ def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOr
             )
 
 
-Calls = list[tuple[str, list[Any], Any]]  # (callable port, arguments, answer) of each call, as values of JSON
+Calls = list[tuple[str, list[Any], Any]]  # (callable port, arguments, answer) of each call, as JSON values
 
 
 def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin) -> dict[int, Calls]:
-    """Return the calls of callable ports in one step, with their answers, by the pid of the calling robot."""
+    """Return one step's calls of callable ports, with their answers, by the pid of the calling robot."""
     run_state = run_states[index]
     if run_state.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
         return {}
@@ -171,12 +172,12 @@ def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, 
 def _asked(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin, pid: int) -> Calls:
     """Return the calls of one robot in a step, found by running the step again.
 
-    The answers are not recorded in the run. So every combination of possible answers is tried until the step has the
-    same effect as in the run."""
+    The run does not record the answers. So the step is run with every combination of possible answers, until its effect
+    is the same as in the run."""
     run_state, before = run_states[index], run_states[index - 1].state
     begun = next(m.state for m in reversed(run_states[:index]) if m.round < run_state.round or m is run_states[0])
     pending: list[tuple[int, ...]] = [()]
-    for scripted in pending:  # the loop itself appends to this list
+    for scripted in pending:  # the body of this loop appends to `pending`
         script = _Script(about, before.robots[pid].ports, scripted)
         done = _again(program, run_state.event, before, begun, pid, World(about.externs, script.answer))
         if isinstance(done, Writes):
@@ -207,8 +208,8 @@ def _again(
 class _Script:
     """Answers to callable ports in one run of a step.
 
-    Call number k gets the possible answer number `scripted[k]`; calls beyond the script get the first possible answer.
-    Equal calls get equal answers."""
+    The call number k gets the possible answer number `scripted[k]`. Calls beyond the script get the first possible
+    answer. Equal calls get equal answers."""
 
     def __init__(self, about: RunOrigin, sensors: Mapping[str, Any], scripted: tuple[int, ...]) -> None:
         self._about, self._sensors, self._scripted = about, sensors, scripted
@@ -228,7 +229,7 @@ class _Script:
         return self._given[key]
 
     def others(self) -> Iterator[tuple[int, ...]]:
-        """Yield longer scripts: each answers one call beyond this script differently than the first answer."""
+        """Yield longer scripts. Each new script selects another answer than the first for one further call."""
         for place in range(len(self._scripted), len(self._options)):
             begin = (*self._scripted, *([0] * (place - len(self._scripted))))
             yield from ((*begin, other) for other in range(1, self._options[place]))

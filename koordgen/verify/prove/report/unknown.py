@@ -1,4 +1,4 @@
-"""Reasons for the verdict UNKNOWN, explained by parts of the program, with possible remedies."""
+"""Reasons for the verdict UNKNOWN: the hard parts of the program, with possible remedies."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import SolverAnswer
 from koordgen.verify.prove.smt.term import NONLINEAR
 
-MAX_NAMED = 3  # largest number of expressions, or of approximations, that one message names
+MAX_NAMED = 3  # largest number of expressions or approximations that one message names
 
 
 def unknown_reason(program: decl.Program, obligation: Obligation, answer: SolverAnswer, unshown: str) -> str:
-    """Return sentences that name the obligation, the reason why it is undecided, and a next step.
+    """Return sentences that name an undecided obligation, the reason, and a next step for the user.
 
-    `unshown`: the reason why the solver's counterexample cannot be shown, if the solver claims one."""
+    `unshown`: the reason why the solver's counterexample cannot be shown, if the solver reports one."""
     where = f"{obligation.name} ({obligation.file}:{obligation.line})"
     if answer.result == "unknown":
         hard = list(dict.fromkeys(_products(program, obligation)))[:MAX_NAMED]
@@ -29,21 +29,21 @@ def unknown_reason(program: decl.Program, obligation: Obligation, answer: Solver
         many = "products or quotients" if len(hard) > 1 else "a product or quotient"
         terms = f"{many} of unknown values: {', '.join(hard)}"
         helps = "; values for params (--param) may help" if program.params else ""
-        return f"{where}: {answer.reason}. It is hard because of {terms}{helps}"
+        return f"{where}: {answer.reason}. The obligation is hard because of {terms}{helps}"
     less = [note for note in obligation.notes if note not in LEMMAS][:MAX_NAMED]
     known = f". The prover approximates: {'; '.join(less)}" if less else ""
-    loops = any("of what the loop writes" in note for note in obligation.notes)
+    loops = any("values that the loop writes" in note for note in obligation.notes)
     say = "an invariant of the loop, an invariant" if loops else "an invariant"
     return f"{where}: {unshown}{known}. Add facts to {say}, a contract or an axiom"
 
 
 def is_exhausted(answer: SolverAnswer) -> bool:
-    """Return whether a solver ran out of time or memory; False if it crashed or gave up."""
+    """Return whether a solver ran out of time or memory; False if the solver crashed or gave up."""
     return any(word in answer.reason for word in ("--timeout", "memory"))
 
 
 def _many(obligation: Obligation) -> str:
-    """Return a sentence about the size of a linear obligation and the most frequent label of its facts."""
+    """Return a sentence with the size of a linear obligation and the most frequent label of its facts."""
     (label, count), *_ = Counter(fact.label for fact in obligation.facts).most_common(1) or [("", 0)]
     if not count:
         return ""
@@ -57,7 +57,7 @@ def _products(program: decl.Program, obligation: Obligation) -> Iterator[str]:
         return
     events = tuple([event for event in program.events if event.name == obligation.event])
     for part in (events, program.init, program.functions, program.properties, program.modules):
-        within: set[ir.Expr] = set()  # binary operations inside expressions that were already yielded
+        within: set[ir.Expr] = set()  # binary operations inside expressions that were yielded before
         for node in walk(part):
             match node:
                 case ir.Binary("*" | "/" | "//" | "%", left, right) if not (_literal(left) or _literal(right)):

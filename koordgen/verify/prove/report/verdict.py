@@ -1,10 +1,10 @@
 """Verdicts of invariants.
 
-The module asks the solver about all obligations, drops invariants that fail, proves the remaining ones without them,
-and explains the failures.
+The module asks the solver about all obligations. Then it drops the invariants that fail, proves the remaining
+invariants without them, and explains the failures.
 
 An invariant is PROVED only under three conditions. The solver gave the proving answer for each of its obligations. All
-invariants that these obligations assume are PROVED themselves. The assumptions were shown to be consistent.
+invariants that these obligations assume are PROVED. The solver showed that the assumptions are consistent.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
 from koordgen.verify.prove.smt.smtlib import script
 from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver, SolverAnswer
 
-if TYPE_CHECKING:  # imported only for type checking: a proof does not need Explainer, whose import takes long
+if TYPE_CHECKING:  # imported only for type checking, since a proof needs no Explainer and its import takes long
     from koordgen.verify.prove.report.explain import FailureExplanation
 
 VerdictName = Literal["PROVED", "VACUOUS", "FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "UNSOUND"]
@@ -35,7 +35,7 @@ class Question(NamedTuple):
 
     `program`: a checked program.
     `robots`: the number of robots; None for any number.
-    `params`: the values of fixed params; all other params are arbitrary."""
+    `params`: the values of fixed params. All other params are arbitrary."""
 
     program: decl.Program
     robots: int | None = None
@@ -43,7 +43,7 @@ class Question(NamedTuple):
 
 
 class SolvedObligations(NamedTuple):
-    """Results of all obligations, after the formulas that fail at loop heads were dropped.
+    """Results of all obligations, after formulas that fail at loop heads were dropped.
 
     `dropped`: the formulas that failed at a loop's head.
     `lost`: the failed obligations of invariants that the program states at loops."""
@@ -70,7 +70,7 @@ class InvariantVerdict(NamedTuple):
 
 
 def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerdict]:
-    """Return a verdict for each invariant: well-definedness first, then in the program's order.
+    """Return a verdict for each invariant: first well-definedness, then the program's order.
 
     Raises SolverMissing."""
     solver.start()
@@ -111,9 +111,9 @@ def _explained(
     proved: decl.Program,
     dropped: frozenset[HeadFormula],
 ) -> dict[str, FailureExplanation]:
-    """Return explanations of the failed invariants: name -> explanation.
+    """Return the explanation of each failed invariant, by the invariant's name.
 
-    `proved` is the program with only its PROVED invariants."""
+    `proved`: the program with only its PROVED invariants."""
     if not failed:
         return {}
     from koordgen.verify.prove.report.explain import Explainer
@@ -153,8 +153,8 @@ def _asked(
 ) -> list[ObligationResult]:
     """Return the results of all obligations.
 
-    Each obligation is asked with few facts first. If it is not proved, it is asked again with more facts, provided that
-    this changes its text."""
+    Each obligation is asked with few facts first. An obligation that is not proved is asked again with more facts, if
+    more facts change its text."""
     robots, params = question.robots, question.params
     found = [
         ObligationResult(*each)
@@ -162,25 +162,24 @@ def _asked(
     ]
     for detail in more:
         if all(outcome.holds or outcome.obligation.too_large for outcome in found):
-            break  # more facts would make formulas that are too large even larger
+            break  # more facts would only enlarge formulas that are too large already
         others = {o.name: o for o in obligations(program, robots, params, detail, dropped)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
 
 def _as_for_any(question: Question, program: decl.Program, solver: Solver | CrossCheck) -> SolvedObligations | None:
-    """Prove for any number of robots a question about one number.
+    """Answer a question about one number of robots by a proof for any number of robots.
 
-    A proof for any number covers this number, and the solver finds it faster. But the consistency of the assumptions
-    must still be shown for this number. Returns None if the proof for any number fails."""
+    A proof for any number covers the given number, and the solver finds it faster. The consistency of the assumptions
+    must still be shown for the given number. Returns None if the proof for any number fails."""
     if question.robots is None:
         return None
     general = _settled(
         question._replace(robots=None), program, solver, SolvedObligations([], frozenset(), {}), MORE[:1]
     )
-    # SOUND: use either all results or none. After a loop that is cut, facts rest on the loop's invariants. If the loop
-    # is
-    # unrolled for this number of robots, these invariants have no obligations.
+    # SOUND: use either all results or no results. For any number of robots, the facts after a loop rest on the loop's
+    # invariants. For the given number, the loop may be unrolled, and then its invariants have no obligations.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):
         return None
     numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
@@ -201,7 +200,7 @@ def _again(
 
 
 def _groups(outcomes: Sequence[ObligationResult]) -> dict[str, tuple[ObligationResult, ...]]:
-    """Return the results of each invariant's obligations."""
+    """Return the results of each invariant's obligations, by the invariant's name."""
     found: dict[str, list[ObligationResult]] = {}
     for outcome in outcomes:
         if outcome.obligation.kind != "consistency":
@@ -219,7 +218,7 @@ def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
 def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
     """Return a contradiction among the assumptions, and a reason why consistency is undecided.
 
-    Both are texts. Both are empty if consistency is shown."""
+    Both values are texts. Both texts are empty if the assumptions are consistent."""
     doubt = ""
     for outcome in outcomes:
         obligation = outcome.obligation

@@ -1,4 +1,4 @@
-"""SMT: terms, their text, and solvers.
+"""SMT: terms, SMT-LIB text of terms, and solvers.
 
 Owns: many-sorted terms with rational numbers, obligations as data, SMT-LIB 2.6 text, solver processes and their
 answers.

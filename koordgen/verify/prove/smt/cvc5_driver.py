@@ -1,6 +1,6 @@
-"""Server for the Python package cvc5: reads commands on standard input, like cvc5's executable.
+"""Server for the Python package cvc5, which reads commands on standard input like cvc5's executable.
 
-The file runs in its own process and imports nothing of koordgen. The command `(reset)` creates a new solver, so that
+The file runs in a separate process and imports nothing of koordgen. The command `(reset)` creates a new solver, so that
 options can be set again.
 """
 
@@ -29,7 +29,7 @@ def commands() -> None:
 
 
 def boundary(text: str) -> int:
-    """Return the end of the next complete query in a text; -1 if no query is complete.
+    """Return the position after the next complete query in a text; -1 if no query is complete.
 
     Each query ends with an `echo` command."""
     start = text.find('(echo "')

@@ -1,4 +1,4 @@
-"""Offline proof folder: one SMT-LIB file per obligation, and a script that checks all of them."""
+"""Offline proof folder: one SMT-LIB file per obligation, and a script that checks all files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from koordgen.verify.prove.smt.obligation import Obligation
 from koordgen.verify.prove.smt.smtlib import Line, document
 
-# The script reads the expected answer from each file. Any other output of a solver counts as no proof.
+# The script reads the expected answer from each file. If a solver prints anything else, the file counts as not proved.
 RUN = """\
 #!/bin/sh
 # Checks every obligation in this folder with a solver for SMT-LIB 2.6. Each file contains the expected answer.
@@ -35,7 +35,7 @@ echo "$all obligations, $wrong not as expected"
 
 
 def folder(obligations: Iterable[Obligation], line: Line) -> dict[str, bytes]:
-    """Return the files of a proof folder by name. The same obligations always give the same bytes."""
+    """Return the files of a proof folder by name. Equal obligations always give equal bytes."""
     files = {"run.sh": RUN.encode()}
     for obligation in obligations:
         name = file_name(obligation)

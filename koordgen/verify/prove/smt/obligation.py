@@ -1,6 +1,6 @@
-"""Proof obligations as data: facts, a goal, and the terms that stand for variables of the program.
+"""Proof obligations as data: facts, a goal, and the terms of the program's variables.
 
-The package `obligations` creates them. Other modules print, solve and explain them.
+The package `obligations` creates obligations. Other modules print, solve and explain them.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ StateName = Literal["round start", "before", "after"]
 
 
 class LabelledFormula(Node):
-    """A formula with its origin.
+    """Formula with its origin.
 
     `label`: describes the formula ("invariant Geofence", "guard of Assign").
-    `file`, `line`: its position in the program.
+    `file`, `line`: the formula's position in the program.
     `position`: the number of loop heads and loop ends in the event before the program point at which the formula
-        becomes known. A goal uses only facts whose position is at most its own."""
+        becomes known. A goal uses only facts whose position is at most the goal's position."""
 
     label: str
     term: Term
@@ -31,11 +31,11 @@ class LabelledFormula(Node):
 
 
 class StateCell(Node):
-    """One variable of the program in one state.
+    """Variable of the program in one state.
 
-    `name`: the variable as the program writes it: "x", "leader", "Motion.position". Params are included.
-    `robot`: the robot that owns the variable, a term of sort Int; None for an allwrite variable or a param.
-    `terms`: the parts of the variable's value, in the order in which `shape` of encode/values.py flattens its type."""
+    `name`: the variable as the program writes it: "x", "leader", "Motion.position". A param is also a variable.
+    `robot`: the robot that owns the variable, as a term of sort Int; None for an allwrite variable or a param.
+    `terms`: the parts of the variable's value, in the order of `shape` in encode/values.py."""
 
     name: str
     robot: Term | None
@@ -45,11 +45,12 @@ class StateCell(Node):
 
 
 class HeadFormula(NamedTuple):
-    """One formula that is assumed at the head of one loop.
+    """Formula that is assumed at the head of a loop.
 
     `owner`: the event, `init` or function that contains the loop.
     `number`: the number of the loop in its owner.
-    `invariant`: the name of an invariant of the program, or the line of an invariant that stands at the loop."""
+    `invariant`: the name of an invariant of the program, or the line of an invariant that the program states at the
+    loop."""
 
     owner: str
     number: int
@@ -57,19 +58,19 @@ class HeadFormula(NamedTuple):
 
 
 class Obligation(Node):
-    """A claim that a solver must confirm.
+    """Claim that a solver must confirm.
 
     If `expected` is "unsat", the claim is that the facts imply the goal: the facts and the goal's negation are
-    unsatisfiable. A consistency obligation has no goal; its claim is that its facts are satisfiable.
+    unsatisfiable. A consistency obligation has no goal. Its claim is that its facts are satisfiable.
 
     `invariant`: the invariant's name, or "(well-defined)".
     `event`: the event's name, "init", "(environment)" or "".
-    `conjuncts`: the goal as conjuncts, so that a counterexample can show which one fails.
+    `conjuncts`: the goal as conjuncts, so that a counterexample can show the conjunct that fails.
     `robots`: the number of robots; None for any number.
-    `notes`: each approximation that was made, and each assumption that is not in the program.
-    `at`: for kind "loop", the loop head and the formula there.
-    `too_large`: if the formulas exceed a limit, the reason why they were not encoded. Then no solver is asked, and the
-        answer is "unknown"."""
+    `notes`: each approximation in the encoding, and each assumption that is not in the program.
+    `at`: for kind "loop", the loop head and its formula.
+    `too_large`: if the formulas exceed a limit, the reason why they were not encoded. In this case no solver is asked,
+        and the answer is "unknown"."""
 
     name: str
     kind: Kind

@@ -1,6 +1,6 @@
 """Child process with pipes.
 
-It does not use the module subprocess, whose import takes longer than a query to the solver.
+The module subprocess is not used, because its import takes longer than a query to the solver.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 CHUNK = 1 << 16
-KILLED = 9  # signal.SIGKILL as a number, since the import of the module signal takes 0.6 ms
+KILLED = 9  # signal.SIGKILL as a number: the import of the module signal takes 0.6 ms
 
 
 class ProcessEnded(Exception):
@@ -21,20 +21,20 @@ class ProcessEnded(Exception):
 
 
 def memory_limit(memory: int) -> int:
-    """Return `memory` in megabytes, or this process' own limit if that limit is lower."""
+    """Return `memory` in megabytes, or the limit of this process if it is lower."""
     own = resource.getrlimit(resource.RLIMIT_AS)[0]
     return memory if own == resource.RLIM_INFINITY else min(memory, own >> 20)
 
 
 class Process:
-    """One child process.
+    """Child process.
 
     `unsent`: input that the process has not read yet.
-    `read`: the output of the process.
-    `times`: pairs of a length of `read` and the time when this length was reached."""
+    `read`: output of the process that the caller has not received yet.
+    `times`: pairs of a length of `read` and the time when `read` reached this length."""
 
     def __init__(self, command: Sequence[str], memory: int) -> None:
-        """Start the command with at most `memory` megabytes. Raises OSError if it cannot be started."""
+        """Start the command with at most `memory` megabytes. Raises OSError if the command cannot start."""
         theirs_in, self.sink = os.pipe()
         self.source, theirs_out = os.pipe()
         silent = os.open(os.devnull, os.O_WRONLY)
@@ -50,7 +50,7 @@ class Process:
                 os.close(end)
         os.set_blocking(self.sink, False)
         os.set_blocking(self.source, False)
-        with suppress(AttributeError, OSError):  # on some systems, the memory of another process cannot be limited
+        with suppress(AttributeError, OSError):  # some systems cannot limit the memory of another process
             resource.prlimit(self.pid, resource.RLIMIT_AS, (memory << 20, memory << 20))
         self.unsent = self.read = b""
         self.times: list[tuple[int, float]] = []
@@ -62,13 +62,15 @@ class Process:
             pass
 
     def exchange(self, wait: float) -> bool:
-        """Write or read within `wait` seconds. Return whether there was anything to do. Raises ProcessEnded."""
+        """Write input or read output within `wait` seconds. Return whether a pipe was ready.
+
+        Raises ProcessEnded."""
         ready = select.select([self.source], [self.sink] if self.unsent else [], [], wait)
         if ready[1]:
             try:
                 self.unsent = self.unsent[os.write(self.sink, self.unsent[:CHUNK]) :]
             except BrokenPipeError:
-                self.unsent = b""  # the process reads no more input, but its remaining output may explain why it ended
+                self.unsent = b""  # The process reads no more input, but its remaining output may explain why it ended.
         if ready[0]:
             some = os.read(self.source, CHUNK)
             if not some:
@@ -84,17 +86,17 @@ class Process:
             ends.append(at + len(word))
         return [next(when for count, when in self.times if count >= end) for end in ends]
 
-    def take(self, count: int) -> str:
-        """Return the first `count` bytes of the output as text, and drop the rest."""
-        said, self.read, self.times = self.read[:count], b"", []
-        return said.decode(errors="replace").strip()
+    def receive(self, count: int) -> str:
+        """Return the first `count` bytes of the output as text, and drop the remaining output."""
+        output, self.read, self.times = self.read[:count], b"", []
+        return output.decode(errors="replace").strip()
 
     def kill(self) -> None:
         with suppress(ProcessLookupError):
             os.kill(self.pid, KILLED)
 
     def end(self) -> int:
-        """Kill the process if it still runs. Return its exit status, which is negative for a signal."""
+        """Kill the process if it still runs. Return its exit status; a signal's number is negative."""
         self.kill()
         return self.wait()
 

@@ -1,4 +1,4 @@
-"""S-expressions: parser of solvers' answers, and of the values in these answers."""
+"""S-expressions: parser for answers of solvers, and for the values in the answers."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import re
 from fractions import Fraction
 
 Expression = str | list["Expression"]
-# A value in a model: a truth value, an int or a fraction; the name of an element of an uninterpreted sort; or the text
-# of
+# Value in a model: a truth value, an int or a fraction; the name of an element of an uninterpreted sort; or the text of
 # an irrational number.
 ModelValue = bool | int | Fraction | str
 
@@ -15,7 +14,7 @@ _TOKEN = re.compile(r'\|[^|]*\||"(?:[^"]|"")*"|[()]|[^\s()|"]+')
 
 
 class Unreadable(Exception):
-    """Raised if a text is not an S-expression, or is not the answer to the command that was sent."""
+    """Raised if a text is not an S-expression, or is not an answer to the command that was sent."""
 
 
 def read(text: str) -> list[Expression]:
@@ -26,7 +25,7 @@ def read(text: str) -> list[Expression]:
             stack.append([])
         elif token == ")":
             if len(stack) == 1:
-                raise Unreadable("a closing bracket has no opening one")
+                raise Unreadable("a closing bracket has no opening bracket")
             done = stack.pop()
             stack[-1].append(done)
         else:
@@ -48,7 +47,7 @@ def values(text: str, count: int) -> list[ModelValue]:
 
 
 def value(node: Expression) -> ModelValue:
-    """Return one value. Raises Unreadable if an operand of `-`, `/` or `to_real` is not an exact fraction."""
+    """Return one value. Raises Unreadable if an operand of `-`, `/` or `to_real` is not an exact number."""
     match node:
         case "true" | "false":
             return node == "true"

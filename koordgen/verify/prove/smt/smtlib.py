@@ -1,7 +1,7 @@
 """SMT-LIB 2.6 text of obligations: scripts for solvers, and annotated files for people.
 
 Numbers are never rounded: a fraction without a finite decimal becomes a quotient of two decimals. A long subterm that
-occurs more than once is defined once and then referred to by name.
+occurs more than once is defined once, and each occurrence refers to it by name.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ from fractions import Fraction
 from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.term import Apply, FunctionSymbol, LiteralTerm, Op, Term, not_
 
-Line = Callable[[str, int], str]  # (file, line) -> text of this line; "" if there is no such line
+Line = Callable[[str, int], str]  # (file, line) -> text of the line; "" if the file has no such line
 BUILT_IN = frozenset(("Bool", "Int", "Real"))
-LONG = 60  # Number of characters from which a subterm that occurs more than once is defined by a name of its own.
+LONG = 60  # fewest characters of a repeated subterm that gets a name
 WIDTH = 100
 _SIMPLE = re.compile(r"[A-Za-z~!$%^&*_+=<>?/-][A-Za-z0-9~!$%^&*_+=<>.?/@-]*")
-# Reserved words of SMT-LIB, which may be used as names only between bars. Names that SMT-LIB's logics define need no
-# entry, since encode/context.py never creates such a symbol.
+# Reserved words of SMT-LIB, which are valid names only between bars. Names that SMT-LIB's logics define need no entry,
+# because encode/context.py never creates a symbol with such a name.
 _RESERVED = frozenset(("!", "_", "as", "let", "exists", "forall", "match", "par", "assert", "push", "pop", "exit"))
 
 
 def symbol(name: str) -> str:
-    """Return a name as SMT-LIB writes it: between bars if necessary."""
+    """Return a name in SMT-LIB's notation: between bars if necessary."""
     return name if _SIMPLE.fullmatch(name) and name not in _RESERVED else f"|{name}|"
 
 
@@ -41,7 +41,7 @@ def literal(value: bool | int | Fraction, sort: str) -> str:
 
 
 def decimal(value: Fraction) -> str:
-    """Return a number >= 0 as a decimal; empty if it has no finite decimal."""
+    """Return a number >= 0 as a decimal; empty if the number has no finite decimal."""
     places, rest = 0, value.denominator
     for prime in (2, 5):
         count = 0
@@ -57,7 +57,7 @@ def decimal(value: Fraction) -> str:
 class Printer:
     """Printer of the terms of one script.
 
-    It first counts how often each subterm is used. Then it prints each subterm once."""
+    The printer first counts the uses of each subterm. Then it prints each subterm once."""
 
     def __init__(self, terms: Iterable[Term]) -> None:
         self.uses: dict[Term, int] = {}
@@ -79,7 +79,7 @@ class Printer:
             pending += node.args[::-1]
 
     def print(self, term: Term) -> tuple[list[str], str]:
-        """Return the text of a term, preceded by the definitions that the text refers to."""
+        """Return the definitions that a term's text refers to, and the text."""
         definitions: list[str] = []
         done, pending = self.done, [term]
         while pending:
@@ -107,7 +107,7 @@ class Printer:
                 return name
 
     def shown(self, node: Term) -> str:
-        """Return the text of a term whose arguments are printed already."""
+        """Return the text of a term whose arguments have been printed."""
         if isinstance(node, LiteralTerm):
             return literal(node.value, node.sort.name)
         if isinstance(node, Op):
@@ -117,7 +117,7 @@ class Printer:
         return f"({head} {' '.join([self.done[arg] for arg in node.args])})" if node.args else head
 
     def declarations(self) -> Iterator[str]:
-        """Yield one declaration for each sort and symbol."""
+        """Yield one declaration for each sort and each symbol."""
         functions = self.functions.values()
         sorts = dict.fromkeys(s for f in functions for s in (*f.domain, f.result) if s.name not in BUILT_IN)
         yield from (f"(declare-sort {symbol(sort.name)} 0)" for sort in sorts)
@@ -152,8 +152,9 @@ def script(obligation: Obligation, wanted: Iterable[Term] = (), named: bool = Fa
 def together(group: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tuple[str, list[list[str]]]:
     """Print obligations that share facts.
 
-    Return one script with the facts that all obligations assume, and several scripts for each obligation, one per part
-    of its goal. Each of these asserts its part and the facts that only this obligation assumes."""
+    Returns one script with the facts that all obligations assume, and further scripts for each obligation: one script
+    per part of the obligation's goal. A further script asserts its part and the facts that only its obligation
+    assumes."""
     shared = set.intersection(*({id(fact) for fact in o.facts} for o in group))
     own = [[fact.term for fact in o.facts if id(fact) not in shared] for o in group]
     common = [fact.term for fact in group[0].facts if id(fact) in shared]
@@ -176,7 +177,7 @@ def together(group: Sequence[Obligation], parts: Sequence[Sequence[Term]]) -> tu
 def document(obligation: Obligation, line: Line) -> str:
     """Return an obligation as an annotated file, for people and for every solver.
 
-    `line` returns the text of a line of the program."""
+    `line`: returns the text of a line of the program."""
     goal = obligation.goal
     refuted = [*obligation.facts, *([goal] if goal else [])]
     printer = Printer([*(f.term for f in obligation.facts), *([not_(goal.term)] if goal else [])])
@@ -208,7 +209,7 @@ def _head(obligation: Obligation) -> Iterator[str]:
 
 
 def _cells(obligation: Obligation, used: Collection[str]) -> Iterator[str]:
-    """Yield comments that relate the symbols in use to variables of the program."""
+    """Yield comments that relate the printed symbols to variables of the program."""
     told: dict[str, None] = {}
     for cell in obligation.cells:
         names = dict.fromkeys(t.function.name for t in cell.terms if isinstance(t, Apply) and t.function.name in used)
@@ -238,7 +239,7 @@ def _flat(text: str) -> str:
 def wrapped(text: str) -> str:
     """Break a long command into several lines.
 
-    An argument that does not fit gets a line of its own, indented further."""
+    An argument that does not fit gets a separate line with more indentation."""
     return "\n".join(_wrapped(text, 0))
 
 
@@ -255,7 +256,7 @@ def _wrapped(text: str, indent: int) -> Iterator[str]:
 
 
 def _split(text: str) -> Iterator[str]:
-    """Yield the S-expressions of a sequence, one by one."""
+    """Yield the S-expressions of a sequence, in their order."""
     depth, start, quoted = 0, 0, False
     for place, character in enumerate(text):
         if character == "|":

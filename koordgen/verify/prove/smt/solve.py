@@ -1,9 +1,9 @@
 """Solver driver: one solver process for all queries, within limits of time and memory.
 
 The answer `unsat` proves an obligation, so it is never assumed. If the output is anything but exactly one answer (an
-error, a crash, garbage, no output), the result is UNKNOWN, with the reason. The process is then killed, and the next
-query starts a new one. Measured: z3's executable is ready within 17 ms, z3's Python module within 65 ms, and a query
-takes 1 to 2 ms.
+error, a crash, garbage, no output), the result is "unknown", with the reason. Then the process is killed, and the next
+query starts a new process. Measured: z3's executable is ready within 17 ms, z3's Python module within 65 ms, and a
+query takes 1 to 2 ms.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from koordgen.verify.prove.smt.sexpr import ModelValue, Unreadable, values
 from koordgen.verify.prove.smt.smtlib import script, together
 from koordgen.verify.prove.smt.term import TRUE, Term, not_
 
-# Limit in seconds for each query of a batch. A query that exceeds it is asked again alone, with its full limit.
+# Limit in seconds for each query of a batch. A query that exceeds this limit is asked again alone, with its full limit.
 BRIEF = 0.5
 MARK = "koordgen-batch"
 WORDS: frozenset[str] = frozenset(("sat", "unsat", "unknown"))
 
 
 class Batch:
-    """Queries that were sent to one solver process and are not answered yet, in the order of sending."""
+    """Queries that one solver process has received and not answered yet, in the order of sending."""
 
     def __init__(self, solver: Solver) -> None:
         self.solver = solver
-        # for each obligation: the number of its goals, and the time of sending
+        # (obligation, number of its goals, time of sending)
         self.sent: list[tuple[Obligation, int, float]] = []
 
     def add(self, group: Sequence[Obligation]) -> None:
@@ -49,12 +49,12 @@ class Batch:
     def answers(self) -> dict[int, tuple[SatResult, float]]:
         """Return id of an obligation -> its result, and the seconds until the result arrived.
 
-        If several answers arrive at once, the first one gets all the seconds. The result is empty if the output is
-        anything but answers. Raises SolverFailed."""
+        If several answers arrive at once, the first answer gets all the seconds. The result is empty if the output
+        contains anything besides answers. Raises SolverFailed."""
         count = sum(goals for _, goals, _ in self.sent)
-        said, came = self.solver.rest(MARK, BRIEF * count)
-        words, marks = said[::2], said[1::2]
-        if len(said) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
+        output, came = self.solver.remaining_output(MARK, BRIEF * count)
+        words, marks = output[::2], output[1::2]
+        if len(output) != 2 * count or len(came) != count or not WORDS.issuperset(words) or set(marks) != {MARK}:
             return {}
         found: dict[int, tuple[SatResult, float]] = {}
         at, last = 0, 0.0
@@ -69,18 +69,18 @@ class Batch:
 
 SatResult = Literal["sat", "unsat", "unknown"]
 LINEAR = frozenset(("QF_UFLIA", "QF_UFLIRA"))
-# z3's first answer takes 10 ms longer than later ones, so an empty query is sent first
+# z3's first answer takes 10 ms longer than later answers, so an empty query is sent first.
 WARM = '(push)\n(check-sat)\n(pop)\n(echo "koordgen-0")\n'
 GRACE = 1.0  # seconds that a solver may exceed a query's limit before it is killed
-MOST_BYTES = 1 << 24  # largest answer that is read, in bytes
+MOST_BYTES = 1 << 24  # size of the largest answer that is read, in bytes
 
 
 class SolverMissing(Exception):
-    """Raised if no such solver is installed. The message names the searched directories."""
+    """Raised if the solver is not installed. The message names the searched directories."""
 
 
 class Limits(NamedTuple):
-    """Limits of the solver.
+    """Limits of a solver.
 
     `query`: seconds for one query.
     `total`: seconds for all queries of a command.
@@ -95,8 +95,8 @@ class SolverAnswer(NamedTuple):
     """Answer of a solver about one obligation.
 
     `reason`: explains an unknown result and names a remedy.
-    `values`: if the result is `sat`, the values of the wanted terms, in the terms' order.
-    `core`: if requested, the indices in `facts` of those facts that already contradict one another."""
+    `values`: if the result is `sat`, the values of the wanted terms, in the order of the terms.
+    `core`: if requested, the indices in `facts` of facts that already contradict one another."""
 
     result: SatResult
     seconds: float
@@ -106,11 +106,11 @@ class SolverAnswer(NamedTuple):
 
 
 class SolverFailed(Exception):
-    """Raised if the solver process can no longer be used; the message gives the reason."""
+    """Raised if the solver process can no longer be used. The message gives the reason."""
 
 
 def command_of(name: str, memory: int) -> list[str]:
-    """Return the command that starts a solver with `memory` megabytes at most. Raises SolverMissing."""
+    """Return the command that starts a solver with at most `memory` megabytes. Raises SolverMissing."""
     folders = [os.path.dirname(sys.executable), *os.environ.get("PATH", "").split(os.pathsep)]
     places = [os.path.join(folder, name) for folder in folders if folder]
     found = next((place for place in places if os.path.isfile(place) and os.access(place, os.X_OK)), None)
@@ -126,9 +126,9 @@ def command_of(name: str, memory: int) -> list[str]:
 
 
 class Solver:
-    """One solver process, started by `start` or by the first query.
+    """Solver process, which the method `start` or the first query starts.
 
-    `command` replaces the default command."""
+    `command`: replaces the default command."""
 
     def __init__(self, name: str, limits: Limits | None = None, command: Sequence[str] | None = None) -> None:
         self.name = name
@@ -138,8 +138,8 @@ class Solver:
         self._process: Process | None = None
         self._asked = 0
         self._warming = False
-        self._left = ""  # command that undoes the previous query's settings
-        self._timeout = 0  # the timeout that is set in the solver, in milliseconds; 0 if unknown
+        self._left = ""  # command that undoes the settings of the previous query
+        self._timeout = 0  # timeout that the solver has now, in milliseconds; 0 if unknown
 
     def __enter__(self) -> Self:
         return self
@@ -148,7 +148,7 @@ class Solver:
         self.end()
 
     def start(self) -> None:
-        """Start the solver, so that it loads while the caller does other work."""
+        """Start the solver, which then loads while the caller does other work."""
         if self._process is not None:
             return
         try:
@@ -157,17 +157,17 @@ class Solver:
             raise SolverMissing(f"{self.command[0]}: {error.strerror}") from None
         self._left, self._timeout = "", 0
         self._process.unsent = WARM.encode() if self.name == "z3" else b""
-        with suppress(ProcessEnded):  # if the process has ended, the next query reports why
+        with suppress(ProcessEnded):  # if the process has ended, the next query reports the reason
             self._process.exchange(0.0)
         self._warming = self.name == "z3"
 
     def stop(self) -> None:
-        """Kill the process without waiting until it has ended. `end` waits."""
+        """Kill the process without waiting for its exit. The method `end` waits."""
         if self._process is not None:
             self._process.kill()
 
     def end(self) -> None:
-        """Kill the process, if there is one, and wait for its exit."""
+        """Kill the process, if one runs, and wait for its exit."""
         process, self._process = self._process, None
         if process is not None:
             process.end()
@@ -177,7 +177,8 @@ class Solver:
     ) -> SolverAnswer:
         """Ask whether the facts and the negation of the goal are satisfiable together.
 
-        `most`: limit in seconds for this query, if it is lower than the solver's limit per query. Raises SolverMissing.
+        `most`: limit in seconds for this query. The solver's limit per query applies if it is lower. Raises
+        SolverMissing.
         """
         if obligation.too_large:
             return SolverAnswer("unknown", 0.0, obligation.too_large)
@@ -204,8 +205,8 @@ class Solver:
         if not wanted and not core and len(self.parts(obligation)) > 1:
             return self._refuted(obligation, limit, until)
         text, names = script(obligation, wanted, core)
-        said = self._said(self.preamble(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
-        match said:
+        output = self._query(self.preamble(obligation.logic, core, bool(names), limit) + text + "(check-sat)\n", until)
+        match output:
             case "unsat":
                 return SolverAnswer("unsat", 0.0, core=self._core(until) if core else ())
             case "sat":
@@ -213,14 +214,14 @@ class Solver:
             case "unknown":
                 return SolverAnswer("unknown", 0.0, self._why(limit, until))
             case _:
-                raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(said)}{_exhausted(said)}")
+                raise SolverFailed(f"{self.name} answered neither sat nor unsat: {_short(output)}{_exhausted(output)}")
 
     def ask_all(self, groups: Iterable[Sequence[Obligation]]) -> list[tuple[Obligation, SolverAnswer]]:
-        """Answer many obligations, with the same meaning as `ask`.
+        """Answer many obligations. Each answer has the same meaning as an answer of `ask`.
 
-        The obligations of one group share most of their facts. z3 gets them in one batch, and works on it while the
-        caller encodes the next group. An obligation that z3 leaves undecided in the batch is asked again alone. Raises
-        SolverMissing."""
+        The obligations of one group share most of their facts. z3 receives a group in one batch, and works on the batch
+        while the caller encodes the next group. An obligation that z3 leaves undecided in the batch is asked again
+        alone. Raises SolverMissing."""
         self.start()
         batch = Batch(self)
         found: list[Obligation] = []
@@ -235,7 +236,9 @@ class Solver:
         answers: dict[int, SolverAnswer] = {}
         if self._process is not None and batch.sent:
             try:
-                answers = {key: SolverAnswer(*said) for key, said in batch.answers().items() if said[0] != "unknown"}
+                answers = {
+                    key: SolverAnswer(*output) for key, output in batch.answers().items() if output[0] != "unknown"
+                }
             except SolverFailed:
                 self.end()
         self.spent += sum(answer.seconds for answer in answers.values())
@@ -244,8 +247,8 @@ class Solver:
     def parts(self, obligation: Obligation) -> list[Term]:
         """Return the formulas that must be refuted to prove an obligation.
 
-        If robots are named by numbers, a goal has many conjuncts. z3 refutes them one by one in a third of the time
-        that it needs for all at once."""
+        If robots are named by numbers, a goal has many conjuncts. z3 refutes the conjuncts separately in a third of the
+        time that it needs to refute all conjuncts together."""
         if obligation.goal is None:
             return [TRUE]
         numbered = obligation.robots is not None and len(obligation.conjuncts) > 1
@@ -257,21 +260,21 @@ class Solver:
         parts = self.parts(obligation)
         text, (goals,) = together([obligation], [parts])
         asked = "".join([f"(push)\n{goal}(check-sat)\n(pop)\n" for goal in goals])
-        said = self._said(self.preamble(obligation.logic, False, False, limit) + text + asked, until).split("\n")
-        if len(said) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(said):
+        output = self._query(self.preamble(obligation.logic, False, False, limit) + text + asked, until).split("\n")
+        if len(output) != len(parts) or not {"sat", "unsat", "unknown"}.issuperset(output):
             raise SolverFailed(
-                f"{self.name} answered neither sat nor unsat: {_short(' '.join(said))}{_exhausted(said[0])}"
+                f"{self.name} answered neither sat nor unsat: {_short(' '.join(output))}{_exhausted(output[0])}"
             )
-        if "sat" in said:
+        if "sat" in output:
             return SolverAnswer("sat", 0.0)
-        if "unknown" in said:
+        if "unknown" in output:
             return SolverAnswer(
                 "unknown", 0.0, f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
             )
         return SolverAnswer("unsat", 0.0)
 
     def preamble(self, logic: str, core: bool, model: bool, limit: float) -> str:
-        """Return the commands that begin a query and undo the previous one.
+        """Return the commands that begin a query and undo the previous query.
 
         Linear queries to z3 run inside a scope (push, pop), which saves 2 to 10 ms per query. All other queries begin
         with a reset, so that the solver can choose the tactic for their logic."""
@@ -290,40 +293,40 @@ class Solver:
     def _values(self, names: list[str], until: float) -> tuple[ModelValue, ...]:
         if not names:
             return ()
-        said = self._said(f"(get-value ({' '.join(names)}))\n", until)
+        output = self._query(f"(get-value ({' '.join(names)}))\n", until)
         try:
-            return tuple(values(said, len(names)))
+            return tuple(values(output, len(names)))
         except Unreadable as error:
             raise SolverFailed(f"{self.name} answered sat with an unusable model: {error}") from None
 
     def _core(self, until: float) -> tuple[int, ...]:
-        said = self._said("(get-unsat-core)\n", until).strip("()").split()
-        return tuple(sorted(int(name.removeprefix("fact!")) for name in said if name.startswith("fact!")))
+        output = self._query("(get-unsat-core)\n", until).strip("()").split()
+        return tuple(sorted(int(name.removeprefix("fact!")) for name in output if name.startswith("fact!")))
 
     def _why(self, limit: float, until: float) -> str:
-        said = (
-            self._said("(get-info :reason-unknown)\n", until).removeprefix("(:reason-unknown").rstrip(")").strip(' "')
+        output = (
+            self._query("(get-info :reason-unknown)\n", until).removeprefix("(:reason-unknown").rstrip(")").strip(' "')
         )
-        if "timeout" in said or "cancel" in said:
+        if "timeout" in output or "cancel" in output:
             return f"{self.name} found no answer within {limit:g} s; try a longer --timeout"
-        return f"{self.name} cannot decide the obligation: {_short(said) or 'no reason given'}{_exhausted(said)}"
+        return f"{self.name} cannot decide the obligation: {_short(output) or 'no reason given'}{_exhausted(output)}"
 
     def _warm(self, until: float) -> None:
         if self._warming:
             self._warming = False
-            self._heard("koordgen-0", until)
+            self._output_before("koordgen-0", until)
 
-    def _said(self, text: str, until: float) -> str:
-        """Send commands and return the solver's output for them. Raises SolverFailed."""
+    def _query(self, text: str, until: float) -> str:
+        """Send commands and return the solver's output for these commands. Raises SolverFailed."""
         self._asked += 1
         end = f"koordgen-{self._asked}"
         self.send(f'{text}(echo "{end}")\n')
-        return self._heard(end, until)
+        return self._output_before(end, until)
 
-    def rest(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
+    def remaining_output(self, mark: str, seconds: float) -> tuple[list[str], list[float]]:
         """Wait for all output since the last query.
 
-        Return the lines of the output, and the arrival time of each mark in it. Raises SolverFailed."""
+        Returns the lines of the output, and the arrival time of each mark in the output. Raises SolverFailed."""
         assert self._process is not None
         self._asked += 1
         end = f"koordgen-{self._asked}"
@@ -331,7 +334,7 @@ class Solver:
         limit = min(seconds, self.limits.query, self.limits.total - self.spent)
         place = self._waited(end, time.monotonic() + limit + GRACE)
         came = self._process.came(mark)
-        lines = [line.strip('"\r') for line in self._process.take(place).split("\n")]
+        lines = [line.strip('"\r') for line in self._process.receive(place).split("\n")]
         if self._warming:
             self._warming = False
             lines = lines[2:] if lines[:2] == ["sat", "koordgen-0"] else []
@@ -345,15 +348,15 @@ class Solver:
         except ProcessEnded:
             raise SolverFailed(self._obituary()) from None
 
-    def _heard(self, end: str, until: float) -> str:
+    def _output_before(self, end: str, until: float) -> str:
         """Return the output before the word `end`, which an `(echo)` command prints. Raises SolverFailed."""
         assert self._process is not None
-        return self._process.take(self._waited(end, until))
+        return self._process.receive(self._waited(end, until))
 
     def _waited(self, end: str, until: float) -> int:
         """Send pending commands and read output until the solver has echoed the word `end`.
 
-        Return the position in the output at which the word begins. Raises SolverFailed."""
+        Returns the position of the word in the output. Raises SolverFailed."""
         process = self._process
         assert process is not None
         while (ended := _ended(process.read, end.encode())) is None:
@@ -380,18 +383,18 @@ class Solver:
         return f"{self.name} {how} during a query{f', with the output: {words}' if words else ''}{hint}"
 
 
-def _ended(said: bytes, end: bytes) -> int | None:
-    """Return the position at which the last line begins, if this line is the word `end`; otherwise None.
+def _ended(output: bytes, end: bytes) -> int | None:
+    """Return the position before the last line, if the last line is the word `end`; otherwise None.
 
     Solvers may put the word in quotes."""
-    if not said.endswith(b"\n"):
+    if not output.endswith(b"\n"):
         return None
-    start = said.rfind(b"\n", 0, len(said) - 1) + 1
-    return max(0, start - 1) if said[start:].strip(b"\r\n").strip(b'"') == end else None
+    start = output.rfind(b"\n", 0, len(output) - 1) + 1
+    return max(0, start - 1) if output[start:].strip(b"\r\n").strip(b'"') == end else None
 
 
-def _exhausted(said: str) -> str:
-    return " (its memory is limited)" if "memory" in said or "bad_alloc" in said else ""
+def _exhausted(output: str) -> str:
+    return " (its memory is limited)" if "memory" in output or "bad_alloc" in output else ""
 
 
 def _short(text: str) -> str:
@@ -400,9 +403,9 @@ def _short(text: str) -> str:
 
 
 class CrossCheck:
-    """Two solvers that get the same queries.
+    """Two solvers that receive the same queries.
 
-    If their answers contradict each other, an InternalError is raised."""
+    If the answers of the solvers contradict each other, an InternalError is raised."""
 
     def __init__(self, solvers: Sequence[Solver]) -> None:
         self.solvers = tuple(solvers)
@@ -427,7 +430,7 @@ class CrossCheck:
     ) -> SolverAnswer:
         """Return the first answer that is not unknown.
 
-        Raises InternalError if one solver answers sat and the other one unsat."""
+        Raises InternalError if one solver answers sat and the other solver answers unsat."""
         answers = [solver.ask(obligation, wanted, core, most) for solver in self.solvers]
         decided = [answer for answer in answers if answer.result != "unknown"]
         if len({answer.result for answer in decided}) > 1:
@@ -446,7 +449,7 @@ def solver_of(name: str, limits: Limits) -> Solver | CrossCheck:
 
 
 class ObligationResult(NamedTuple):
-    """One obligation with the solver's answer."""
+    """Obligation with the solver's answer."""
 
     obligation: Obligation
     answer: SolverAnswer

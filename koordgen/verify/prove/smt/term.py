@@ -1,8 +1,8 @@
-"""Terms of many-sorted logic: the formulas of obligations.
+"""Terms of many-sorted logic: the formulas of proof obligations.
 
-Terms are built only by the constructors below. They fold constants, and return the same object for equal arguments. So
-identical terms are equal, but terms that are not identical may be equal, too. Numbers are never rounded: a float of the
-program becomes a Fraction.
+Only the constructors in this module build terms. They fold constants, and return the same object for equal arguments.
+So identical objects are equal terms, but equal terms need not be identical objects. Numbers are never rounded: a float
+of the program becomes a Fraction.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ BOOL, INT, REAL = Sort("Bool"), Sort("Int"), Sort("Real")
 
 
 class FunctionSymbol(Node):
-    """Declared symbol of a function. A constant is a function without arguments."""
+    """Declared function symbol. A constant is a function without arguments."""
 
     name: str
     domain: tuple[Sort, ...]
@@ -67,30 +67,30 @@ class Op(Node):
 
 Term = LiteralTerm | Apply | Op
 
-# Features of a term and all its subterms that the logic of the term's obligation must support (bit flags).
+# Bit flags of a term: the features of the term and its subterms that the logic of an obligation must support.
 REALS, NONLINEAR = 1, 2
 # Operators that make a term nonlinear, unless a factor or the divisor is a literal.
 _NONLINEAR = frozenset(("*", "/", "div", "mod"))
 
-# MOST_STEPS limits the number of terms and expressions that are built for one part of a program. Encoding more takes
-# minutes, and no solver decides the result. MOST_BITS limits the size of the numbers that constant folding computes.
+# MOST_STEPS limits the number of terms and expressions that are built for one part of a program. Above this limit,
+# encoding takes minutes, and no solver decides the result. MOST_BITS limits the numbers that constant folding computes.
 MOST_STEPS = 200_000
 MOST_BITS = 1 << 16
 _steps = 0
 
 
 class EncodingTooLarge(Exception):
-    """Raised if the formulas of one part of a program exceed a limit; the message names the limit."""
+    """Raised if the formulas of a program part exceed a limit. The message names the limit."""
 
 
 def step() -> None:
-    """Count one step of the encoding. Raises EncodingTooLarge if the steps exceed MOST_STEPS."""
+    """Count one step of the encoding. Raises EncodingTooLarge if the count exceeds MOST_STEPS."""
     global _steps
     _steps += 1
     if _steps > MOST_STEPS:
         raise EncodingTooLarge(
-            f"its formulas take more than {MOST_STEPS:,} steps to write down, as each call of a function is written "
-            "out: split it, or call fewer functions"
+            f"the formulas take more than {MOST_STEPS:,} steps to write down, because the body of each called function "
+            "is written out: split the event, or call fewer functions"
         )
 
 
@@ -103,25 +103,25 @@ TRUE, FALSE = LiteralTerm(True, BOOL, 0), LiteralTerm(False, BOOL, 0)
 def forget() -> None:
     """Drop the table of terms.
 
-    A term that is built later is not identical to an equal term that was built before."""
+    A term that is built after the call is not identical to an equal term that was built before the call."""
     _TERMS.clear()
 
 
 def count_anew() -> None:
-    """Reset the count of encoding steps, for the next part of a program."""
+    """Reset the count of encoding steps before the next part of a program."""
     global _steps
     _steps = 0
 
 
 def integer(value: int) -> Term:
     if value.bit_length() > MOST_BITS:
-        raise EncodingTooLarge(f"a number in its formulas has more than {MOST_BITS:,} bits")
+        raise EncodingTooLarge(f"a number in the formulas has more than {MOST_BITS:,} bits")
     found = _LITERALS.get(("Int", value))
     return found or _LITERALS.setdefault(("Int", value), LiteralTerm(value, INT, 0))
 
 
 def real(value: int | float | Fraction) -> Term:
-    """Return a real literal. A float becomes the binary fraction that it represents, without rounding."""
+    """Return a real literal. A float becomes the fraction that it represents, without rounding."""
     found = _LITERALS.get(("Real", value))
     return found or _LITERALS.setdefault(("Real", value), LiteralTerm(Fraction(value), REAL, REALS))
 
@@ -131,8 +131,7 @@ def boolean(value: bool) -> Term:
 
 
 def apply(function: FunctionSymbol, *args: Term) -> Term:
-    # the arguments are part of the key, and so is the result's sort: x@1 may be a bool in one context and a list in
-    # another
+    # The key contains the arguments and the sort of the result: x@1 may be a bool in one context and a list in another.
     key = (function.name, function.result.name, args)
     found = _TERMS.get(key)
     if found is None:
@@ -167,7 +166,7 @@ def number(term: Term) -> int | Fraction | None:
     return term.value if type(term) is LiteralTerm and term.sort is not BOOL else None
 
 
-# Truth values
+# Constructors of truth values
 
 
 def not_(a: Term) -> Term:
@@ -240,7 +239,7 @@ def ite(condition: Term, then: Term, orelse: Term) -> Term:
 
 
 def _of_truths(condition: Term, then: Term, orelse: Term) -> Term:
-    """Build an `ite` with a literal as one of its two alternatives."""
+    """Build an `ite` that has a literal as one of its two alternatives."""
     if then is TRUE:
         return or_(condition, orelse)
     if then is FALSE:
@@ -270,7 +269,7 @@ def equals(a: Term, b: Term) -> Term:
 
 
 def _offset(a: Term, b: Term) -> int | Fraction | None:
-    """Return b - a if the two terms differ by a literal, as i and i + 1 do; otherwise None."""
+    """Return b - a if the terms differ by a literal, as i and i + 1 do; otherwise None."""
     if type(a) is not Op and type(b) is not Op:
         return 0 if a is b else None
     base, more = _split(a)
@@ -279,7 +278,7 @@ def _offset(a: Term, b: Term) -> int | Fraction | None:
 
 
 def _split(a: Term) -> tuple[Term, int | Fraction]:
-    """Return a term as a sum: another term, and a literal."""
+    """Split a term into a base term and a literal, whose sum is the term."""
     if type(a) is Op and a.name == "+" and len(a.args) == 2:
         last = number(a.args[1])
         if last is not None:
@@ -287,7 +286,7 @@ def _split(a: Term) -> tuple[Term, int | Fraction]:
     return a, 0
 
 
-# Numbers
+# Constructors of numbers
 
 
 def add(a: Term, b: Term) -> Term:
@@ -359,7 +358,7 @@ def floor_divide(a: Term, b: Term) -> Term:
 
 
 def remainder(a: Term, b: Term) -> Term:
-    """Return `a % b` of ints, which has the divisor's sign as in Python."""
+    """Return `a % b` of ints. As in Python, the remainder has the divisor's sign."""
     x, y = number(a), number(b)
     if x is not None and y:
         return integer(int(x % y))
@@ -390,7 +389,7 @@ def to_real(a: Term) -> Term:
 
 
 def to_int(a: Term) -> Term:
-    """Return the greatest int that is at most as large as a real."""
+    """Return the greatest int that is not greater than a real."""
     x = number(a)
     if x is not None:
         return integer(x // 1)

@@ -9,13 +9,14 @@ from pathlib import Path
 from koordgen.runtime.native import loader as native
 from koordgen.runtime.native.loader import NotCompiled
 from targets.car.control.solver.model import INPUTS, STATES, STEPS
-from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
+from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, ControlLimits
 
 SOURCE = Path(__file__).with_name("mpc.c")
 FLAGS = ("-std=c99", "-O1", "-shared", "-fPIC", "-lm")  # -O3 compiles three times as long and saves 8 %
+
 # Test problem with a known answer: a full stop 0.2 m ahead, from 0.8 m/s with a yaw error of 0.1 rad. PROBE_ANSWER is
 # the first acceleration (m/s^2) and steering rate (rad/s) that CasADi with IPOPT finds.
-PROBE_LIMITS = Limits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.4, steering_rate=3.0)
+PROBE_LIMITS = ControlLimits(wheelbase=0.33, speed=1.0, acceleration=1.5, steering=0.4, steering_rate=3.0)
 PROBE_STATE = (0.0, 0.0, 0.1, 0.8, 0.0)
 PROBE_WISHED = (0.2, 0.0, 0.0, 0.0, 0.0)
 PROBE_ANSWER = (-1.5, -2.2148)
@@ -25,7 +26,7 @@ PROBE_TOLERANCE = 0.01
 class CompiledSolver:
     """Solver in a library compiled from mpc.c: implements `problem.Solver`."""
 
-    def __init__(self, library: ctypes.CDLL, limits: Limits) -> None:
+    def __init__(self, library: ctypes.CDLL, limits: ControlLimits) -> None:
         self._solve = library.mpc_solve
         self._solve.restype = ctypes.c_double
         self._head = [
@@ -40,15 +41,15 @@ class CompiledSolver:
     def __call__(
         self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
     ) -> list[float] | None:
-        """See `problem.Solver`."""
+        """Implement `problem.Solver`."""
         self._problem[:] = [*self._head, *present, *wished]
         self._inputs[:] = [*inputs]
         cost = self._solve(self._problem, self._inputs, self._states, self.effort)
         return self._inputs[:] if cost >= 0 else None
 
 
-def load(limits: Limits, cache: Path | None = None) -> CompiledSolver:
-    """Return the solver, from the cache or newly compiled: see `native.load`. Raises NotCompiled."""
+def load(limits: ControlLimits, cache: Path | None = None) -> CompiledSolver:
+    """Return the solver, from the cache of compiled libraries or newly compiled. Raises NotCompiled."""
     return CompiledSolver(native.load(SOURCE, FLAGS, _prove, cache), limits)
 
 

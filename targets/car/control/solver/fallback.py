@@ -1,7 +1,7 @@
 """MPC solver with CasADi, for robots without a C compiler.
 
-It uses CasADi's `sqpmethod` with the QP solver `qrqp`; the plug-ins daqp and fatrop gave wrong answers. The Hessian is
-that of Gauss-Newton, which is constant, since the cost is a sum of weighted squares of the variables.
+It uses CasADi's `sqpmethod` with the QP solver `qrqp`; the plug-ins daqp and fatrop gave wrong answers. The solver uses
+the Gauss-Newton Hessian, which is constant because the cost is a sum of weighted squares of the variables.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from targets.car.control.solver.model import INPUTS, STATES, STEPS, step
-from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, Limits
+from targets.car.control.solver.problem import INPUT_WEIGHTS, STATE_WEIGHTS, ControlLimits
 
 ITERATIONS = 8  # maximum SQP iterations; from a shifted plan, one to three suffice
-DEFECT = 1e-2  # metres, radians, m/s; a plan is rejected if its states differ by more from those its inputs lead to
-# Metres, radians, m/s. If the car is within this of the state that the last plan predicted, the last plan is the
-# initial guess.
+DEFECT = 1e-2  # metres, radians, m/s; maximum difference of a plan's states from the states that its inputs lead to
+
+# Metres, radians, m/s. If the last plan predicted the present state within this tolerance, it is the initial guess.
 NEAR = 0.1
 _STRIDE = INPUTS + STATES
 
@@ -28,7 +28,7 @@ class CasadiSolver:
     CasADi reads and writes preallocated arrays. Creating its matrices from lists would take a third of the solve time.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: ControlLimits) -> None:
         nlp = nonlinear_program("sqpmethod")
         most = upper_bounds(limits)
         self._head = [limits.wheelbase, *STATE_WEIGHTS, *INPUT_WEIGHTS]
@@ -45,14 +45,14 @@ class CasadiSolver:
     def __call__(
         self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
     ) -> list[float] | None:
-        """See `problem.Solver`."""
+        """Implement `problem.Solver`."""
         given, found = self._given, self._found
         given["x0"][:] = self._start(present, wished, inputs)
         given["p"][:] = array("d", [*self._head, *present, *wished])
         try:
             self._run()
             failed = bool(self._buffer.ret())
-        except RuntimeError:  # CasADi raises it for every error
+        except RuntimeError:  # CasADi raises RuntimeError for every error
             failed = True
         plan, defects = found["x"], found["g"]
         sound = math.isfinite(sum(plan)) and math.isfinite(sum(defects))
@@ -61,13 +61,13 @@ class CasadiSolver:
                 values[:] = array("d", bytes(8 * len(values)))
             plan[:] = array("d", [math.nan] * len(plan))  # NaN, so that `_start` does not use this plan
             return None
-        # The multipliers of this solve, shifted, warm-start the next one.
+        # The shifted multipliers of this solution are the initial guess of the next one.
         given["lam_x0"][:] = _shifted(found["lam_x"], _STRIDE)
         given["lam_g0"][:] = _shifted(found["lam_g"], STATES)
         return [v for k in range(STEPS) for v in plan[_STRIDE * k : _STRIDE * k + INPUTS]]
 
     def _start(self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]) -> array[float]:
-        """Return the initial guess: the shifted last plan if that predicted about the present state, else the path."""
+        """Return the initial guess: the shifted last plan if it predicted the present state (NEAR), else the path."""
         plan = self._found["x"]
         if all(abs(a - b) <= NEAR for a, b in zip(plan[INPUTS:_STRIDE], present, strict=True)):
             return _shifted(plan, _STRIDE)
@@ -83,7 +83,7 @@ def _shifted(values: array[float], stride: int) -> array[float]:
     return values[stride:] + values[-stride:]
 
 
-def upper_bounds(limits: Limits) -> list[float]:
+def upper_bounds(limits: ControlLimits) -> list[float]:
     """Return the upper bounds of the program's variables; the lower bounds are their negatives."""
     free = [math.inf] * 3
     return [limits.acceleration, limits.steering_rate, *free, limits.speed, limits.steering] * STEPS

@@ -1,4 +1,4 @@
-"""MPC problem that is solved at every control step: limits, weights, and the interface of a solver.
+"""MPC problem that a solver solves at every control step: limits, weights, and the interface of a solver.
 
 The cost is the sum, over 20 steps of 50 ms, of the weighted squares of (state - wished state) and of the inputs.
 States are (x, y, yaw, speed, steering), inputs are acceleration and steering rate; m, rad, s, in local ENU.
@@ -15,7 +15,7 @@ INPUT_WEIGHTS = (0.02, 0.02)  # acceleration, steering rate
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ControlLimits:
     """Wheelbase and limits of a car. Each limit holds in both directions."""
 
     wheelbase: float  # m
@@ -31,7 +31,7 @@ class Solver(Protocol):
     def __call__(
         self, present: Sequence[float], wished: Sequence[float], inputs: Sequence[float]
     ) -> list[float] | None:
-        """Return the inputs of the best plan (20 pairs), or None if none was found.
+        """Return the inputs of the best plan (20 pairs); None if the solver found no plan.
 
         `present`: the initial state (5 numbers); its speed and steering are within the limits.
         `wished`: the reference states (20 times 5 numbers).

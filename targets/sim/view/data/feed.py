@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Init, Phase, Pose, Round, TraceRecord, Violation
+from koordgen.runtime.trace.schema import Header, InitRecord, Phase, PoseRecord, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.run_interface import AgentHandle
 
@@ -34,7 +34,7 @@ class Feed(ABC):
         self._early: list[tuple[AgentHandle, list[TraceRecord]]] = []
 
     @abstractmethod
-    def _take(self, record: TraceRecord, t: float) -> None:
+    def _add(self, record: TraceRecord, t: float) -> None:
         """Pass on one record. `t` overrides the record's own time."""
 
     @abstractmethod
@@ -59,14 +59,14 @@ class Feed(ABC):
             self._begin()
         t = self._t(at)
         for pid, state in enumerate(states):
-            self._take(Pose(pid, state.position, state.yaw), t)
+            self._add(PoseRecord(pid, state.position, state.yaw), t)
         self._marks()
         self._send()
 
     def show(self, at: float, states: list[BodyState]) -> None:
         """Pass on the present poses and all collected records at once."""
         for pid, state in enumerate(states):
-            self._take(Pose(pid, state.position, state.yaw), self._t(at))
+            self._add(PoseRecord(pid, state.position, state.yaw), self._t(at))
         self._marks()
         self.flush()
 
@@ -77,11 +77,11 @@ class Feed(ABC):
     def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         """See Companion."""
         if not self._begun:
-            self._early.append((agent, [r for r in records if isinstance(r, (Init, Round))]))
+            self._early.append((agent, [r for r in records if isinstance(r, (InitRecord, Round))]))
         for record in records:
             if not isinstance(record, (Header, Violation)) and hasattr(record, "pid"):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)
-                self._take(own, self._t(getattr(record, "time", 0.0)))
+                self._add(own, self._t(getattr(record, "time", 0.0)))
 
     def end(self, at: float) -> None:
         """See Companion."""
@@ -98,7 +98,7 @@ class Feed(ABC):
         self._begun = True
         self._reset()
         for agent in self._run.conduct.agents:
-            self._take(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
+            self._add(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
         for agent, records in self._early:
             self.heard(agent, records)
         self._early.clear()
@@ -118,7 +118,7 @@ class Feed(ABC):
                 self._violation(at, "collision", (i,), f"touched obstacle {number}")
         marks = self._run.marks
         for mark in marks[self._marks_sent :]:
-            self._take(mark, self._t(mark.t))
+            self._add(mark, self._t(mark.t))
         self._marks_sent = len(marks)
 
     def _new(self, what: str, who: tuple[int, int]) -> bool:
@@ -128,4 +128,4 @@ class Feed(ABC):
 
     def _violation(self, at: float, what: str, pids: tuple[int, ...], detail: str) -> None:
         t = self._t(at)
-        self._take(Violation(t, what, tuple(self._names[pid] for pid in pids), detail), t)
+        self._add(Violation(t, what, tuple(self._names[pid] for pid in pids), detail), t)

@@ -203,7 +203,7 @@ def gathered(header: Header, records: Iterable[TraceRecord]) -> Chunk:
     rows, history = Rows(header), History(header)
     for number, record in enumerate(records):
         if not isinstance(record, Header):
-            rows.take(record, record.t)
+            rows.add(record, record.t)
         if number % 5000 == 0:
             history.extend(rows.taken())
     rows.end()

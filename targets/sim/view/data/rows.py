@@ -34,15 +34,15 @@ from koordgen.runtime.trace.schema import (
     Cause,
     End,
     Header,
-    Init,
-    Log,
-    Metrics,
+    InitRecord,
+    LogLine,
+    MetricsRecord,
     Monitor,
     Moved,
     Phase,
-    Pose,
+    PoseRecord,
     Round,
-    Stream,
+    StreamLine,
     TraceRecord,
     Verdict,
     Violation,
@@ -50,7 +50,7 @@ from koordgen.runtime.trace.schema import (
 from koordgen.runtime.values.points import Point, Scan
 from targets.sim.base.bodies import Vector
 from targets.sim.trace.files import was_late
-from targets.sim.trace.monitor_reports import DisplayFilter, said
+from targets.sim.trace.monitor_reports import DisplayFilter, status_text
 from targets.sim.view.data.markers import Markers
 
 EVENT, SKIPPED, FAULT = 0, 1, 2
@@ -84,7 +84,7 @@ class Rows:
         chunk, self._chunk = self._chunk, {}
         return chunk
 
-    def take(self, record: TraceRecord, t: float) -> None:
+    def add(self, record: TraceRecord, t: float) -> None:
         """Convert one record; `t` overrides its own time."""
         t = round(t, 3)
         match record:
@@ -101,31 +101,35 @@ class Rows:
                 what = f"{f'{record.of} {record.name}'.strip()}: {record.outcome}"
                 detail = ", ".join(filter(None, (record.line, record.detail)))
                 self._add("marks", [t, "verdict", what, list(record.robots), detail])
-            case Monitor() if 0 <= record.pid < self._count and self._notable.take(record):
+            case Monitor() if 0 <= record.pid < self._count and self._notable.add(record):
                 detail = ": ".join(filter(None, (record.line, record.why)))
-                self._add("marks", [t, "monitor", said(record), [self._names[record.pid]], detail])
-            case Pose() | Phase() | Init() | Round() | Log() | Stream() | Metrics() if 0 <= record.pid < self._count:
+                self._add("marks", [t, "monitor", status_text(record), [self._names[record.pid]], detail])
+            case PoseRecord() | Phase() | InitRecord() | Round() | LogLine() | StreamLine() | MetricsRecord() if (
+                0 <= record.pid < self._count
+            ):
                 self._of_robot(record, t)
             case _:
                 pass
 
-    def _of_robot(self, record: Pose | Phase | Init | Round | Log | Stream | Metrics, t: float) -> None:
+    def _of_robot(
+        self, record: PoseRecord | Phase | InitRecord | Round | LogLine | StreamLine | MetricsRecord, t: float
+    ) -> None:
         pid = record.pid
         match record:
-            case Pose(position=position, yaw=yaw):
+            case PoseRecord(position=position, yaw=yaw):
                 self._add("poses", [pid, t, *(_small(c) for c in position), round(yaw, 3)])
                 self._markers.pose(position, t)
-                if (near := self._near.take(pid, t, position)) is not None:
+                if (near := self._near.add(pid, t, position)) is not None:
                     self._add("near", near)
             case Phase(phase=phase, detail=detail):
                 self._add("phases", [pid, t, phase, detail])
-            case Log(level=level, message=message):
+            case LogLine(level=level, message=message):
                 self._add("logs", [pid, t, level, message])
-            case Stream(port=port, text=text):
+            case StreamLine(port=port, text=text):
                 self._add("logs", [pid, t, port, text])
-            case Metrics():
+            case MetricsRecord():
                 self._add("links", [pid, t, _links(record), sum(record.rejected.values())])
-            case Init():
+            case InitRecord():
                 self._writes(record, 0, t)
             case Round():
                 self._first_values(record, t)
@@ -164,7 +168,7 @@ class Rows:
                 self._add("shared", [name, record.pid, t, 0, value])
                 self._markers.value(name, value, t)
 
-    def _writes(self, record: Init | Round, number: int, t: float) -> None:
+    def _writes(self, record: InitRecord | Round, number: int, t: float) -> None:
         """Add rows for written locals and shared variables, and for the commanded path or target."""
         for name, raw in record.locals.items():
             self._add("locals", [record.pid, t, number, name, _decoder.decode(raw)])
@@ -224,7 +228,7 @@ class _Nearest:
         self._left, self._right = np.triu_indices(count, 1)
         self._last = count - 1
 
-    def take(self, pid: int, t: float, position: Vector) -> list[Any] | None:
+    def add(self, pid: int, t: float, position: Vector) -> list[Any] | None:
         self._places[pid] = position
         if pid != self._last or pid == 0:
             return None
@@ -243,7 +247,7 @@ def _is_point(value: Any) -> bool:
     return isinstance(value, list) and len(value) == 3 and all(type(c) in (int, float) for c in value)
 
 
-def _links(record: Metrics) -> list[list[Any]]:
+def _links(record: MetricsRecord) -> list[list[Any]]:
     rows = []
     for peer, found in record.peers.items():
         delay = found.get("delay_ms") or {}

@@ -29,7 +29,7 @@ def at(header: Header, records: Iterable[TraceRecord], time: float | None) -> tu
         if time is not None and record.t > time + SAME:
             break
         now = record.t
-        beliefs.take(record)
+        beliefs.apply(record)
     return (now if time is None else time), beliefs
 
 

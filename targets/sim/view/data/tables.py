@@ -19,14 +19,14 @@ from koordgen.runtime.trace.schema import (
     Cause,
     End,
     Header,
-    Init,
-    Log,
-    Metrics,
+    InitRecord,
+    LogLine,
+    MetricsRecord,
     Monitor,
     Phase,
-    Pose,
+    PoseRecord,
     Round,
-    Stream,
+    StreamLine,
     TraceRecord,
     Verdict,
     Violation,
@@ -65,8 +65,8 @@ def write(folder: Path, header: Header, records: Iterable[TraceRecord]) -> None:
 
 def _believed(record: TraceRecord, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
     """Yield rows for new values that a robot knows: its locals, and shared variables in its own copy."""
-    for change in beliefs.take(record):
-        if change.of in ("local", "shared") and isinstance(record, (Init, Round)):
+    for change in beliefs.apply(record):
+        if change.of in ("local", "shared") and isinstance(record, (InitRecord, Round)):
             robot, slot = names[record.pid], "" if change.slot is None else names.get(change.slot, str(change.slot))
             value = msgspec.json.encode(change.value).decode()
             yield "beliefs", (record.t, robot, getattr(record, "round", 0), change.of, change.name, slot, value)
@@ -85,32 +85,34 @@ def _rows(record: TraceRecord, names: dict[int, str]) -> Iterator[tuple[str, Row
             yield "marks", (t, "cause", what, " ".join(robots), "", "", told)
         case End(why=why):
             yield "marks", (t, "end", why, "", "", "", "")
-        case Pose() | Init() | Round() | Phase() | Log() | Stream() | Monitor() | Metrics():
+        case PoseRecord() | InitRecord() | Round() | Phase() | LogLine() | StreamLine() | Monitor() | MetricsRecord():
             yield from _of_robot(record, t, names.get(record.pid, f"robot {record.pid}"))
         case _:
             pass
 
 
 def _of_robot(
-    record: Pose | Init | Round | Phase | Log | Stream | Monitor | Metrics, t: float, robot: str
+    record: PoseRecord | InitRecord | Round | Phase | LogLine | StreamLine | Monitor | MetricsRecord,
+    t: float,
+    robot: str,
 ) -> Iterator[tuple[str, Row]]:
     match record:
-        case Pose(position=(x, y, z), yaw=yaw):
+        case PoseRecord(position=(x, y, z), yaw=yaw):
             yield "poses", (t, robot, x, y, z, yaw)
         case Phase(phase=phase, detail=detail):
             yield "phases", (t, robot, phase, detail)
-        case Log(level=level, message=message):
+        case LogLine(level=level, message=message):
             yield "logs", (t, robot, level, message)
-        case Stream(port=port, text=text):
+        case StreamLine(port=port, text=text):
             yield "logs", (t, robot, port, text)
         case Monitor(of=of, name=name, line=line, outcome=outcome, age=age, why=why, action=action):
             yield "monitors", (t, robot, record.round, of, name, line, outcome, age, why, action)
-        case Metrics(peers=peers):
+        case MetricsRecord(peers=peers):
             for peer, found in peers.items():
                 delay = found.get("delay_ms") or {}
                 figures = (found.get("loss"), delay.get("p50"), delay.get("p99"), found.get("silent_ms"))
                 yield "links", (t, robot, peer, *figures, found.get("repeats"))
-        case Init():
+        case InitRecord():
             yield from _values(record, t, robot, 0)
         case Round(round=number, event=event, skipped=skipped, fault=fault, late=late):
             told = "" if fault is None else str(fault)
@@ -118,7 +120,7 @@ def _of_robot(
             yield from _values(record, t, robot, number)
 
 
-def _values(record: Init | Round, t: float, robot: str, number: int) -> Iterator[tuple[str, Row]]:
+def _values(record: InitRecord | Round, t: float, robot: str, number: int) -> Iterator[tuple[str, Row]]:
     groups = {"sensor": record.sensors, "local": record.locals, "shared": record.shared, "actuator": record.actuators}
     for of, values in groups.items():
         for name, raw in values.items():

@@ -26,14 +26,14 @@ import msgspec
 from koordgen.runtime.trace.schema import (
     Cause,
     Header,
-    Log,
-    Metrics,
+    LogLine,
+    MetricsRecord,
     Moved,
     OfRobot,
     Phase,
-    Pose,
+    PoseRecord,
     Round,
-    Stream,
+    StreamLine,
     TraceRecord,
     Verdict,
     Violation,
@@ -77,22 +77,22 @@ class Messages:
                 yield "/log", "foxglove.Log", _log(at, 3, f"cause: {what} {detail}", " and ".join(robots))
             case Verdict(of=of, outcome=outcome, robots=robots, name=own, line=line, detail=detail):
                 yield "/verdicts", "koord.Verdict", _verdict(record.t, of, outcome, robots, own, line, detail)
-            case Pose(position=position, yaw=yaw) if name:
+            case PoseRecord(position=position, yaw=yaw) if name:
                 yield from _pose(at, name, position, yaw)
             case Phase(phase=phase, detail=detail) if name:
                 yield "/phases", "koord.Phase", {"t": record.t, "robot": name, "phase": phase, "detail": detail}
-            case Log(level=level, message=message) if name:
+            case LogLine(level=level, message=message) if name:
                 yield "/log", "foxglove.Log", _log(at, LEVELS.get(level, 0), message, name)
-            case Stream(port=port, text=text) if name:
+            case StreamLine(port=port, text=text) if name:
                 yield "/log", "foxglove.Log", _log(at, 2, f"{port}: {text}", name)
             case Round() if name:
                 yield f"/rounds/{name}", "koord.Round", _round(record, name)
-            case Metrics(late_ms=late, rejected=rejected, peers=peers) if name:
+            case MetricsRecord(late_ms=late, rejected=rejected, peers=peers) if name:
                 told = {"t": record.t, "robot": name, "late_ms": late, "rejected": rejected, "peers": peers}
                 yield f"/metrics/{name}", "koord.Metrics", told
             case Moved(number=number, obstacle=obstacle):
                 yield "/scene", "foxglove.SceneUpdate", _scene([scene.obstacle(obstacle, at, number)])
-        self._rows.take(record, record.t)
+        self._rows.add(record, record.t)
         yield from self._worked_out(self._rows.taken(), at)
 
     def of_rows(self, rows: Chunk, nanoseconds: Callable[[float], int]) -> Iterator[tuple[int, Message]]:

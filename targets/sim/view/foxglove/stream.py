@@ -14,7 +14,7 @@ from typing import Any
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Init, Round, TraceRecord
+from koordgen.runtime.trace.schema import Header, InitRecord, Round, TraceRecord
 from targets.sim.view.data.feed import Feed
 from targets.sim.view.data.rows import Chunk
 from targets.sim.view.foxglove.messages import Message, Messages
@@ -125,8 +125,8 @@ class Streamed(Feed):
         self._messages = Messages(header)
         self._shift = 0.0  # s from the launch to round 1
 
-    def _take(self, record: TraceRecord, t: float) -> None:
-        if isinstance(record, Header) or (not self._begun and isinstance(record, (Init, Round))):
+    def _add(self, record: TraceRecord, t: float) -> None:
+        if isinstance(record, Header) or (not self._begun and isinstance(record, (InitRecord, Round))):
             return  # records before the start of round 1 are passed on again later
         at = max(0, round((t + self._shift) * 1e9))
         self._server.put(at, self._messages.of(msgspec.structs.replace(record, t=round(t, 6)), at))

@@ -106,7 +106,7 @@ class _Scene:
             self._fit()
         axes.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())  # fix the limits, or a map would change them
         self._title = axes.set_title("0", loc="left", animated=True)
-        self._ways = [axes.plot([], [], linewidth=1.2, alpha=0.45, **ground.style(p))[0] for p in self._pids()]
+        self._trails = [axes.plot([], [], linewidth=1.2, alpha=0.45, **ground.style(p))[0] for p in self._pids()]
         self._tails = [axes.plot([], [], linewidth=2.6, color=of_robot(p))[0] for p in self._pids()]
         self._ahead = [axes.plot([], [], linewidth=1.2, linestyle=":", color=of_robot(p))[0] for p in self._pids()]
         self._bodies = [axes.fill([0], [0], color=of_robot(p), edgecolor="white", zorder=4)[0] for p in self._pids()]
@@ -115,7 +115,7 @@ class _Scene:
                           fontweight="bold", fontsize=9, annotation_clip=True, path_effects=ground.HALO)
             for p in self._pids()
         ]  # fmt: skip
-        self._moving = [*self._ways, *self._ahead, *self._tails, *self._bodies, *self._names, self._title]
+        self._moving = [*self._trails, *self._ahead, *self._tails, *self._bodies, *self._names, self._title]
         for artist in self._moving:
             artist.set_animated(True)
         self._size = 0.022 * max(axes.get_xlim()[1] - axes.get_xlim()[0], axes.get_ylim()[1] - axes.get_ylim()[0])
@@ -161,7 +161,7 @@ class _Scene:
         if not upto:
             return
         places, since = found.places[pid], found.upto(pid, t - TAIL)
-        self._ways[pid].set_data(places[:upto, 0], places[:upto, 1])
+        self._trails[pid].set_data(places[:upto, 0], places[:upto, 1])
         self._tails[pid].set_data(places[since:upto, 0], places[since:upto, 1])
         x, y, _, yaw = places[upto - 1]
         self._bodies[pid].set_xy(Affine2D().scale(self._size).rotate(yaw).translate(x, y).transform(ARROW))

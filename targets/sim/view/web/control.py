@@ -20,7 +20,7 @@ from targets.sim.base.bodies import BodyState
 from targets.sim.base.folder import GIVEN
 from targets.sim.base.scenario import BadScenario
 from targets.sim.base.schedule import Event, Schedule, read
-from targets.sim.run.faults import Faults, check_obstacles, check_robots, told
+from targets.sim.run.faults import Faults, check_obstacles, check_robots, event_text
 from targets.sim.run.run_interface import AgentHandle
 from targets.sim.view.web.live import Live, PaceLimit
 
@@ -56,7 +56,7 @@ class ManualFaults:
         t = run.t(at)
         if t is None or t < 0:
             raise ImpossibleCommand("faults can be injected only after round 1 has begun")
-        if any(agent.told for agent in run.conduct.agents):
+        if any(agent.asked_to_end for agent in run.conduct.agents):
             raise ImpossibleCommand("the mission is over")
         if not isinstance(event, dict) or "at" in event:
             raise ImpossibleCommand("a fault is an event of a scenario file without `at`, because it begins now")
@@ -99,7 +99,7 @@ def _described(event: Event, t: float) -> str:
     """Return an injected fault as text."""
     who = event.robots[0] if len(event.robots) == 1 else ""  # the detail names several robots
     lasts = "" if event.lasts is None else f" for {event.lasts:g} s"
-    return f"{' '.join(filter(None, (event.kind, who, told(event))))}, at {t:.2f} s{lasts}"
+    return f"{' '.join(filter(None, (event.kind, who, event_text(event))))}, at {t:.2f} s{lasts}"
 
 
 class Control:
@@ -145,7 +145,7 @@ class Control:
         self._stop_at, paced.waited = math.inf, True
         self._view.show(at, states)
         self._report()
-        while self._paused and not (self._view.gone or self._run.interrupted):
+        while self._paused and not (self._view.is_closed or self._run.interrupted):
             self._obey(self._view.commands(PATIENCE), at)
             self._view.show(at, [])
         self._paused = False

@@ -90,7 +90,7 @@ class Dashboard:
         self._renewed = 0
         self._over = threading.Event()
 
-    def take(self, pid: int, plain: Mapping[str, Any] | None, note: str) -> None:
+    def on_answer(self, pid: int, plain: Mapping[str, Any] | None, note: str) -> None:
         """Add the answer of robot `pid`: its report, or None with a note why there is none.
 
         May be called from any thread. An internal error is shown in the robot's row, without effect on other robots."""
@@ -101,11 +101,11 @@ class Dashboard:
                 self._rows.miss(pid, report or note, t)
                 return
             try:
-                self._take(pid, report, note, t)
+                self._add_report(pid, report, note, t)
             except Exception as error:
                 self._rows.miss(pid, f"internal error of the dashboard: {type(error).__name__}: {error}", t)
 
-    def _take(self, pid: int, report: Report, note: str, t: float) -> None:
+    def _add_report(self, pid: int, report: Report, note: str, t: float) -> None:
         header = completed(self._rows.header, report)
         if header is not self._rows.header:
             self._rows.renew(header)
@@ -113,7 +113,7 @@ class Dashboard:
             if self._stream is not None:
                 self._stream.renew(header, self._nanoseconds(t))
             self._renewed += 1
-        self._rows.take(pid, report, note, t)
+        self._rows.add_report(pid, report, note, t)
 
     @property
     def version(self) -> str:
@@ -121,7 +121,7 @@ class Dashboard:
         return f"{self._made}-{self._renewed}"
 
     def tick(self) -> None:
-        """Send all news to the pages."""
+        """Send all new records to the pages."""
         t = time.monotonic() - self._zero
         with self._lock:
             chunk, robots = self._rows.taken(t), self._rows.table()

@@ -15,7 +15,17 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import EventFault, Header, Log, Metrics, PeerQuality, Phase, Pose, Round, Shared
+from koordgen.runtime.trace.schema import (
+    EventFault,
+    Header,
+    LogLine,
+    MetricsRecord,
+    PeerQuality,
+    Phase,
+    PoseRecord,
+    Round,
+    SharedVariable,
+)
 from targets.sim.base.bodies import Vector
 from targets.sim.view.data.rows import Chunk, Rows
 
@@ -105,7 +115,7 @@ def read_report(plain: Any) -> Report | str:
 def completed(header: Header, report: Report) -> Header:
     """Return the header completed by a report; the same object if nothing was missing."""
     known = {variable.name for variable in header.shared}
-    more = tuple(Shared(name, kind, "") for name, kind, *_ in report.shared if name not in known)
+    more = tuple(SharedVariable(name, kind, "") for name, kind, *_ in report.shared if name not in known)
     changes: dict[str, Any] = {"shared": (*header.shared, *more)} if more else {}
     if not header.app and report.app:
         changes["app"] = report.app
@@ -156,10 +166,10 @@ class FleetRows:
         self.__init__(header)  # type: ignore[misc]
         for pid, (known, old) in enumerate(zip(self._robots, before, strict=True)):
             if old.report is not None and old.at is not None:
-                self.take(pid, old.report, old.note, old.at)
+                self.add_report(pid, old.report, old.note, old.at)
             known.questions, known.answers, known.silent, known.note = old.questions, old.answers, old.silent, old.note
 
-    def take(self, pid: int, report: Report, note: str, t: float) -> None:
+    def add_report(self, pid: int, report: Report, note: str, t: float) -> None:
         """Add a report that arrived at time `t`."""
         known = self._robots[pid]
         if known.report is not None and known.report.boot != report.boot:
@@ -171,11 +181,11 @@ class FleetRows:
         known.questions += 1
         known.answers += 1
         self._motion(pid, known, report, t)
-        self._said(pid, known, report, t)
+        self._add_lines(pid, known, report, t)
         self._decided(pid, known, report, t)
         if t - known.linked >= LINKS_EVERY:
             known.linked = t
-            self._rows.take(Metrics(report.late_ms, report.rejected, report.peers, pid=pid), t)
+            self._rows.add(MetricsRecord(report.late_ms, report.rejected, report.peers, pid=pid), t)
         violated = frozenset(each.words for each in report.monitors.violated)
         for each in report.monitors.violated:
             if each.words not in known.violated:
@@ -226,24 +236,24 @@ class FleetRows:
     def _motion(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         if report.phase != known.phase:
             known.phase = report.phase
-            self._rows.take(Phase(report.phase, pid=pid), t)
+            self._rows.add(Phase(report.phase, pid=pid), t)
         pose = report.pose
         if pose is not None and t - pose.age > known.posed + 1e-3 and all(map(math.isfinite, pose.position)):
             known.posed = t - pose.age
-            self._rows.take(Pose(pid, pose.position, pose.yaw or 0.0), known.posed)
+            self._rows.add(PoseRecord(pid, pose.position, pose.yaw or 0.0), known.posed)
         if report.goal != known.goal:
             known.goal = report.goal
             self._add("paths", [pid, round(t, 3), report.goal])
 
-    def _said(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
+    def _add_lines(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         for number, age, _, level, text in report.lines:
             if number <= known.line:
                 continue
             if known.line and number > known.line + 1:
                 lost = f"{number - known.line - 1} lines before this one arrived too fast to be shown"
-                self._rows.take(Log("warning", lost, pid=pid), t - age)
+                self._rows.add(LogLine("warning", lost, pid=pid), t - age)
             known.line = number
-            self._rows.take(Log(level, text, pid=pid), t - age)
+            self._rows.add(LogLine(level, text, pid=pid), t - age)
 
     def _decided(self, pid: int, known: _RobotData, report: Report, t: float) -> None:
         """Add rows of decided rounds and of the shared variables that they wrote."""
@@ -262,7 +272,7 @@ class FleetRows:
                         number, detail if outcome == "event" else None, detail if outcome == "skipped" else None,
                         EventFault("", 0, detail) if outcome == "fault" else None, late_ms / 1e3, pid=pid,
                     )  # fmt: skip
-                    self._rows.take(told, when(number))
+                    self._rows.add(told, when(number))
         for name, _, number, value in report.shared:
             if number > known.written.get(name, -1):
                 known.written[name] = number

@@ -63,8 +63,8 @@ class Live(Feed):
         self._rows = Rows(header)
         self._pending = bytearray()
         self._next = 0.0
-        self.gone = False  # the process has ended or closed the pipe
-        self._rest = b""
+        self.is_closed = False  # the process has ended or closed the pipe
+        self._incomplete = b""
         # In a session of its own: Ctrl-C on the terminal ends the run, and the run ends the view.
         self._process = subprocess.Popen(
             [*SERVE, str(port)],
@@ -94,20 +94,20 @@ class Live(Feed):
             raise OSError(f"the live view cannot use port {asked}: {said['error']}; {way}")
         return int(said["port"])
 
-    def _take(self, record: TraceRecord, t: float) -> None:
-        self._rows.take(record, t)
+    def _add(self, record: TraceRecord, t: float) -> None:
+        self._rows.add(record, t)
 
     def _reset(self) -> None:
         self._rows = Rows(self._header)
         self._put({"begin": True})
 
     def commands(self, wait: float = 0.0) -> list[dict[str, Any]]:
-        """Return the commands from the page, waiting at most `wait` seconds. `gone`: no more will come."""
-        if self.gone or not select.select([self._commands], [], [], wait)[0]:
+        """Return the commands from the page, waiting at most `wait` seconds. `is_closed`: no more will come."""
+        if self.is_closed or not select.select([self._commands], [], [], wait)[0]:
             return []
         data = os.read(self._commands, 1 << 16)
-        self.gone = not data
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        self.is_closed = not data
+        *lines, self._incomplete = (self._incomplete + data).split(b"\n")
         return [json.loads(line) for line in lines]
 
     def report(self, state: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, Log, Monitor, Phase, Round, TraceRecord, Verdict, Violation
+from koordgen.runtime.trace.schema import Header, LogLine, Monitor, Phase, Round, TraceRecord, Verdict, Violation
 from targets.sim.judging.summary import (
     LEFT_OPEN,
     RobotSummary,
@@ -20,14 +20,14 @@ from targets.sim.judging.summary import (
     seconds,
     stalled,
     summarise,
-    told,
+    violation_text,
     waits,
     warned,
 )
-from targets.sim.run.run import Outcome
+from targets.sim.run.run import RunResult
 from targets.sim.run.scene import Closest
 from targets.sim.trace.files import read
-from targets.sim.trace.monitor_reports import DisplayFilter, said
+from targets.sim.trace.monitor_reports import DisplayFilter, status_text
 from targets.sim.view.data.history import gathered
 from targets.sim.view.data.rows import Chunk
 from targets.sim.view.web.page import page
@@ -38,7 +38,7 @@ FEW = 5  # longest list that is shown unfolded
 GREEN, RED, AMBER = "#1B7F4B", "#B00020", "#8A5A00"
 COLOURS = {"held": GREEN, "violated": RED, "host overloaded": AMBER, "interrupted": AMBER, "not started": RED}
 CLASSES = {"held": "good", "violated": "bad", "no value": "bad", "unchecked": "warn", "out of model": "warn"}
-BAD = {"error", "fault", "separation", "collision", "ended", "unrest", "property", "idle"}
+BAD = {"error", "fault", "separation", "collision", "ended", "not_stopped", "property", "idle"}
 
 
 def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[float, str, str, str]]:
@@ -63,10 +63,10 @@ def important(header: Header, records: Iterable[TraceRecord]) -> list[tuple[floa
             case Phase() if phases.get(record.pid) != record.phase:
                 phases[record.pid] = record.phase
                 found.append((record.t, names.get(record.pid, "?"), record.phase, record.detail))
-            case Monitor() if notable.take(record):
-                text = f"{said(record)} ({record.line})" + (f": {record.why}" if record.why else "")
+            case Monitor() if notable.add(record):
+                text = f"{status_text(record)} ({record.line})" + (f": {record.why}" if record.why else "")
                 found.append((record.t, names.get(record.pid, "?"), "monitor", text))
-            case Log() if record.level != "info":
+            case LogLine() if record.level != "info":
                 found.append((record.t, names.get(record.pid, "?"), record.level, record.message))
             case Round(fault=fault) if fault is not None and (record.pid, str(fault)) not in seen:
                 seen.add((record.pid, str(fault)))
@@ -114,14 +114,14 @@ def _summary(trace: Path, header: Header, rows: Chunk) -> Summary:
     duration, ended = ends[0] if ends else (max((row[1] for row in rows["poses"]), default=0.0), "interrupted")
     near = min(rows["near"], key=lambda row: float(row[1]), default=None)
     closest = Closest(near[1], near[0], (near[2], near[3])) if near else None
-    outcome = Outcome(header.started, ended, 0.0, duration, [], closest, 0.0, 0, 0)
+    outcome = RunResult(header.started, ended, 0.0, duration, [], closest, 0.0, 0, 0)
     return summarise(*read(trace), outcome)
 
 
 def _verdict(summary: Summary) -> str:
     why, left_open, _ = summary.why.partition(LEFT_OPEN)
     colour = AMBER if left_open else COLOURS[summary.verdict]
-    others = [told(violation) for violation in summary.violations if told(violation) not in why]
+    others = [violation_text(violation) for violation in summary.violations if violation_text(violation) not in why]
     more = "".join(f"<p>{escape(text)}</p>" for text in others[:MOST_VIOLATIONS])
     return (
         f'<div class="verdict" style="border-color:{colour}">'

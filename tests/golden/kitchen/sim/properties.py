@@ -154,7 +154,7 @@ def assume_motion(s: Step) -> bool:
     )
 
 
-def surely_assume_motion(b: Any) -> Any:
+def screening_assume_motion(b: Any) -> Any:
     """Screening of many observations at once: where this is true, the formula holds."""
     return b.either(
         b.in_rect(
@@ -203,7 +203,7 @@ PROPERTIES = Properties(
             holds=assume_motion,
             reads=("Motion.position'", "Motion.position", "Motion.target"),
             goals=(),
-            surely=surely_assume_motion,
+            screening=screening_assume_motion,
         ),
         Assumption(
             module="Motion",

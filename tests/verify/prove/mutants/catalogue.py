@@ -320,13 +320,13 @@ MUTANTS: dict[str, Mutant] = {
         "V19", UNSOUND, SymbolicFrame.cut, "a shared variable",
         'self.env["wrote", key[1]] = context.new(f"wrote {key[1]}", t.BOOL)', 'self.env["wrote", key[1]] = t.FALSE'),
     "a loop's invariants hold where nothing gets to the loop": Mutant(
-        "V19", UNSOUND, PartEncoder.know, "a loop on one branch",
+        "V19", UNSOUND, PartEncoder.assume_at_head, "a loop on one branch",
         "self.assume(formula, place.frame, reached)", "self.assume(formula, place.frame)"),
     "the program's invariants hold within loops without being shown": Mutant(
         "V19", UNSOUND, generate.at_heads, "a loop that counts",
         "in loops.candidates(head.loop):", "in ():"),
     "a loop's invariants are not used": Mutant(
-        "V19", WEAKER, PartEncoder.know, "a loop with an invariant",
+        "V19", WEAKER, PartEncoder.assume_at_head, "a loop with an invariant",
         "self.assume(formula, place.frame, reached)", "pass"),
     # V20: loops of functions
     "loop invariants of functions are never shown": Mutant(

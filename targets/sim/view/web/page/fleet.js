@@ -106,7 +106,7 @@ function hearFleet(event) {
 
 function stopTold(robots, by) {
   const rows = [...robots].sort((a, b) => a.answered - b.answered).map((robot) => {
-    const phase = robot.phase === "rested" ? "has stopped" : "is stopping";
+    const phase = robot.phase === "stopped" ? "has stopped" : "is stopping";
     const words = robot.answered ? `${robot.robot} ${phase}, answered after ${number(robot.after_ms, 0)} ms` : `${robot.robot}: ${robot.note}. STOP IT BY HAND: remote control, kill switch, or cut its power`;
     return make("li", [words, robot.answered ? robot.note : ""].filter(Boolean).join("; "), { class: robot.answered ? "good" : "bad" });
   });

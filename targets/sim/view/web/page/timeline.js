@@ -1,7 +1,7 @@
 // Each robot's rounds over time: events, skips, faults, phases, and what it said.
 "use strict";
 
-const ROW = 30, PHASES = { starting: "#d8d8dc", joining: "#b9d4e8", running: "#cfe8da", resting: "#f0dcb4", rested: "#e8e8ea" };
+const ROW = 30, PHASES = { starting: "#d8d8dc", joining: "#b9d4e8", running: "#cfe8da", stopping: "#f0dcb4", stopped: "#e8e8ea" };
 const SKIP = "#dadade";
 
 const EVENTS = ["#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#8a8a90"];

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.runtime.ops.findings import row, status, tell, tell_shortly, tell_unloadable
+from koordgen.runtime.ops.checks import print_briefly, print_checks, report_unloadable, row, status
 from koordgen.runtime.vehicle.platform import Finding, Unready
 
 OK = Finding("link", "ok", "autopilot on udpin:0.0.0.0:14550, system 1")
@@ -43,23 +43,23 @@ def test_a_row_word_by_word() -> None:
 
 
 def test_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tell("app", iter([OK, WARN, FAIL]), "text") == 5
+    assert print_checks("app", iter([OK, WARN, FAIL]), "text") == 5
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("ok    link") and lines[-1] == "3 checks: 1 failed, 1 warnings"
 
 
 def test_the_document(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tell("app", [OK, WARN], "json") == 0
+    assert print_checks("app", [OK, WARN], "json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["app"] == "app" and told["status"] == 0
-    assert told["findings"][1] == {
+    assert told["checks"][1] == {
         "name": "streams", "state": "warn", "found": WARN.found, "wanted": WARN.wanted, "why": WARN.why,
     }  # fmt: skip
 
 
 def test_in_short_it_ends_at_the_first_failure(capsys: pytest.CaptureFixture[str]) -> None:
     left = iter([OK, WARN, FAIL, OK])
-    assert tell_shortly(left) == 5 and list(left) == [OK]
+    assert print_briefly(left) == 5 and list(left) == [OK]
     told = capsys.readouterr()
     assert told.out == "link       autopilot on udpin:0.0.0.0:14550, system 1\n"
     assert told.err.splitlines()[2:] == [
@@ -74,9 +74,9 @@ def test_an_unready_is_a_finding() -> None:
 def test_a_bundle_that_cannot_be_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "requirements.txt").write_text("nobody-has-this==1.0\n")
     error = ImportError("No module named 'nobody'", name="nobody")
-    assert tell_unloadable(tmp_path, ["--doctor", "--format", "json"], error) == 5
-    found = {f["name"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
+    assert report_unloadable(tmp_path, ["--doctor", "--format", "json"], error) == 5
+    found = {f["name"]: f for f in json.loads(capsys.readouterr().out)["checks"]}
     assert found["packages"]["state"] == found["import"]["state"] == "fail"
-    assert tell_unloadable(tmp_path, [], error) == 5
+    assert report_unloadable(tmp_path, [], error) == 5
     told = capsys.readouterr()
     assert told.out == "" and "the Python package 'nobody' is missing" in told.err and "pip install -r" in told.err

@@ -13,8 +13,8 @@ from koordgen.runtime.net.udp import GroupTransport, UnicastTransport
 def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
     """Return the settings of the bundle in `root`. Raises BadSettings.
 
-    overrides: settings file whose values replace those of the bundle; it suffices alone if the bundle has none.
-    pid: replaces the pid of the bundle's settings.
+    overrides: settings file whose values replace the bundle's values. A bundle without settings needs only this file.
+    pid: pid that replaces the pid in the settings; None keeps it.
     """
     path = root / "settings.json"
     if path.exists():
@@ -22,15 +22,15 @@ def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settin
     if overrides is not None:
         return load(overrides, None, pid)
     raise BadSettings(
-        f"{path}: not found, because this bundle was built without a fleet file; build it with "
+        f"{path}: not found, because this bundle was built without a fleet file; build the bundle with "
         "`koordgen build ... --fleet FILE`, or give `--settings FILE`"
     )
 
 
 def open_key(settings: Settings) -> bytes | None:
-    """Return the fleet's key, None if the settings declare that there is none.
+    """Return the fleet's key, or None if the settings declare `insecure: true`.
 
-    Raises BadKey, and BadSettings if the settings declare neither."""
+    Raises BadKey if the key is bad. Raises BadSettings if the settings declare neither a key file nor `insecure`."""
     if settings.key_file is not None:
         return load_key(Path(settings.key_file))
     if not settings.insecure:
@@ -39,9 +39,9 @@ def open_key(settings: Settings) -> bytes | None:
 
 
 def open_transport(settings: Settings) -> Transport:
-    """Return the transport of the settings.
+    """Open the transport that the settings name. Raises CannotOpen.
 
-    Imports the optional package only if needed. Raises CannotOpen."""
+    The optional package eclipse-zenoh is imported only for the transport `zenoh`."""
     network = settings.network
     if network.transport == "unicast":
         return UnicastTransport(settings.peers, settings.pid, settings.bind)

@@ -1,4 +1,4 @@
-"""Output of check results: a table for narrow terminals, one JSON document, or short lines."""
+"""Output of check results: as a table that fits a narrow terminal, as one JSON document, or as one line a check."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from koordgen.runtime.ops.host import host, install_requirements
 from koordgen.runtime.vehicle.platform import Finding
 
 OK, WRONG, SURROUNDINGS = 0, 1, 5
-# Checks of the user's own files: built and copied bundles. All other checks concern the environment.
+# Names of the checks of the user's own files, in a bundle that was built and copied. All other checks concern the
+# environment of the robot.
 OWN = ("files", "settings", "key", "program", "body")
 NARROWEST, WIDEST = 40, 100
 _NAME = 10
@@ -23,34 +24,33 @@ _INDENT = " " * (_NAME + 7)
 Form = Literal["text", "json"]
 
 
-def status(findings: Iterable[Finding]) -> int:
-    """Return the exit status: 0 if no check fails, 1 if files are wrong, 5 if the environment is."""
-    failed = {finding.name for finding in findings if finding.state == "fail"}
+def status(results: Iterable[Finding]) -> int:
+    """Return the exit status: 0 if no check failed, 1 if a check of files failed, 5 if only other checks failed."""
+    failed = {finding.name for finding in results if finding.state == "fail"}
     return OK if not failed else WRONG if failed & set(OWN) else SURROUNDINGS
 
 
-def tell(app: str, findings: Iterable[Finding], form: Form) -> int:
-    """Print all results on standard output, each at once or all as one JSON document.
+def print_checks(app: str, results: Iterable[Finding], form: Form) -> int:
+    """Print the results of all checks on standard output. Return the exit status.
 
-    Return the exit status.
-    """
+    `form`: "text" prints each result immediately, "json" prints one JSON document at the end."""
     width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns))
-    told = []
-    for finding in findings:
-        told.append(finding)
+    shown = []
+    for finding in results:
+        shown.append(finding)
         if form == "text":
             print(row(finding, width), flush=True)
-    result = status(told)
+    result = status(shown)
     if form == "json":
-        print(json.dumps({"app": app, "status": result, "findings": [asdict(f) for f in told]}, indent=2))
+        print(json.dumps({"app": app, "status": result, "checks": [asdict(f) for f in shown]}, indent=2))
     else:
-        failed, doubtful = (sum(f.state == state for f in told) for state in ("fail", "warn"))
-        print(f"{len(told)} checks: {failed} failed, {doubtful} warnings")
+        failed, doubtful = (sum(f.state == state for f in shown) for state in ("fail", "warn"))
+        print(f"{len(shown)} checks: {failed} failed, {doubtful} warnings")
     return result
 
 
 def row(finding: Finding, width: int) -> str:
-    """Return one result as lines of at most `width` characters, unless a word is longer."""
+    """Return the result of one check as lines of at most `width` characters; a longer word is not broken."""
     lines = [f"{finding.state.upper() if finding.state == 'fail' else finding.state:<5} {finding.name:<{_NAME}} "]
     lines[0] += finding.found
     if finding.state != "ok":
@@ -62,9 +62,9 @@ def row(finding: Finding, width: int) -> str:
     return "\n".join(wrapper.fill(line) for line in lines)
 
 
-def tell_shortly(findings: Iterable[Finding]) -> int:
-    """Print passed checks and warnings, one line each, up to the first failure. Return the exit status."""
-    for finding in findings:
+def print_briefly(results: Iterable[Finding]) -> int:
+    """Print the result of each check on one line, and stop after the first failed check. Return the exit status."""
+    for finding in results:
         if finding.state == "fail":
             print(f"error: {_whole(finding)}", file=sys.stderr)
             return status([finding])
@@ -81,13 +81,13 @@ def _whole(finding: Finding) -> str:
     return f"{finding.name}: {finding.found}{wanted}{hint}"
 
 
-def tell_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
-    """Report a bundle that cannot be imported; with `--doctor`, all checks that need no import.
+def report_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> int:
+    """Print the error of a bundle that cannot be imported. Return the exit status.
 
-    Return the status."""
+    If `argv` contains `--doctor`, also print the results of all checks that need no import."""
     install = install_requirements(root)
     what = f"the Python package {error.name!r} is missing or does not load: {error}"
     found = [*host(root), Finding("import", "fail", what, why=install)]
     if "--doctor" in argv:
-        return tell(root.name, found, "json" if "json" in argv or "--format=json" in argv else "text")
-    return tell_shortly(found[-1:])
+        return print_checks(root.name, found, "json" if "json" in argv or "--format=json" in argv else "text")
+    return print_briefly(found[-1:])
