@@ -70,7 +70,23 @@ def parse_file(path: str) -> tuple[Source, tree.Program]:
 
 
 def check_file(path: str) -> Checked:
-    """Parse, check and verify a program. Raises Rejected.
+    """Parse, check and verify a program that can run alone. Raises Rejected."""
+    checked = check_part(path)
+    unbound = check_alone(checked.program)
+    if unbound:
+        raise Rejected([(checked.source, d) for d in unbound])
+    return checked
+
+
+def check_alone(program: Program) -> list[Diagnostic]:
+    """Report each import of a program, because a program that runs alone has no exporter."""
+    message = "{}: a program with imports cannot be built, proved or explored yet, only checked"
+    help = "remove the import, and declare its variables in this program"
+    return [Diagnostic("B011", "error", message.format(i.name), i.span, help=help) for i in program.imports]
+
+
+def check_part(path: str) -> Checked:
+    """Parse, check and verify a program, which may import variables of another application. Raises Rejected.
 
     After syntax errors, the sections that could be parsed are checked as well, so one run reports both kinds of errors.
     """
@@ -91,7 +107,7 @@ def dump(path: str, after: str) -> str:
         return show_tree(parse_file(path)[1])
     from koordgen.lang.ir.printer import show
 
-    return show(check_file(path).program)
+    return show(check_part(path).program)
 
 
 def plan_file(

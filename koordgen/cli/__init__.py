@@ -109,9 +109,9 @@ def _help(options: Namespace) -> int:
 
 
 def _check(options: Namespace) -> int:
-    from koordgen.build.pipeline import check_file
+    from koordgen.build.pipeline import check_part
 
-    checked = check_file(options.program)
+    checked = check_part(options.program)
     print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
     return HOLDS
 

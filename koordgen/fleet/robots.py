@@ -10,11 +10,11 @@ from koordgen.fleet.deployment import Login, read_login
 from koordgen.fleet.manifest import Target
 from koordgen.fleet.settings import NameChecks, read_given, read_settings
 from koordgen.fleet.yaml_reader import YamlNode, YamlReader
+from koordgen.lang.ir.types import MOST_ROBOTS
 from koordgen.lang.node import Node
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
-MOST_ROBOTS = 128  # equal to that of koordgen/runtime/net/wire.py (a test compares them)
 
 
 class FleetRobot(Node):

@@ -68,6 +68,7 @@ CATALOGUE: dict[str, str] = {
     "K057": "a constant value does not exist, or cannot be stored",
     "K058": "a loop invariant or 'old' is not allowed here",
     "K059": "the meaning of a port does not fit",
+    "K060": "wrong use of an exported or imported variable",
     "F001": "not valid YAML",
     "F002": "unknown key",
     "F003": "missing key",
@@ -87,6 +88,7 @@ CATALOGUE: dict[str, str] = {
     "B008": "the writes of all robots in a round exceed what the link carries",
     "B009": "an event's writes may need several datagrams",
     "B010": "the target's port has another meaning",
+    "B011": "a program with imports does not run alone",
 }
 
 

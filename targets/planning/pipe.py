@@ -21,7 +21,9 @@ class Order(msgspec.Struct, frozen=True, array_like=True):
 
     name: str  # name of a built-in planner, or "module:Class"
     world: World
-    judge: str  # "module:Class" that calls the planner and checks its paths, such as `targets.planning.ask:PlannerJudge`
+    judge: (
+        str  # "module:Class" that calls the planner and checks its paths, such as `targets.planning.ask:PlannerJudge`
+    )
 
 
 class Question(msgspec.Struct, frozen=True, array_like=True):

@@ -11,6 +11,7 @@ from koordgen.lang.ir.types import (
     FLOAT,
     GRID,
     INT,
+    MOST_ROBOTS,
     PLANNER,
     POINT,
     POSE,
@@ -64,7 +65,7 @@ def _tuple(*items: str) -> str:
 
 
 def bound(type_: Type, names: Names) -> str:
-    """Return the Python expression for a type's Bound. An argument `T[N_SYS]` has that of a list of 128 elements."""
+    """Return the Python expression for a type's Bound. An argument `T[N_SYS]` has that of a list."""
     match type_:
         case Scalar():
             return f"{names.use('Fixed')}(bytes={FIXED[type_]})"
@@ -73,7 +74,7 @@ def bound(type_: Type, names: Names) -> str:
         case Sequence(name, element, capacity):
             return _many("Distinct" if name == "Set" else "Many", capacity, element, names)
         case PerRobot(element):
-            return _many("Many", 128, element, names)
+            return _many("Many", MOST_ROBOTS, element, names)
         case MapOf(key, value, capacity):
             keys, values = (joined(f"{part}=", bound(t, names)) for part, t in (("key", key), ("value", value)))
             return brackets(f"{names.use('Pairs')}(", [f"capacity={capacity}", keys, values], ")")

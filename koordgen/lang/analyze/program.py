@@ -26,7 +26,7 @@ from koordgen.lang.syntax.walk import is_whole
 def check(program: ast.Program, source: Source) -> tuple[decl.Program | None, list[Diagnostic]]:
     """Return the typed program, or None if there are errors, and all diagnostics in the order of the text."""
     draft, found = resolve(program, source)
-    a = Analysis(source, draft.params)
+    a = Analysis(source, draft)
     a.found = found
     checked = analyze(draft, program, a)
     ordered = in_order(a.found)
@@ -46,9 +46,10 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
     events, locks = _events(program.events, shared, a)
     properties = tuple([replace(p, formula=_formula(p.formula, "property", a)) for p in program.properties])
     modules = tuple([_module(module, a) for module in program.modules])
+    exports = tuple([_export(export, a) for export in program.exports])
     checked = decl.Program(
         program.name, program.path, records, program.extern_types, functions, externs, program.specs, params, modules,
-        shared, locals_, locks, init, events, properties,
+        shared, locals_, locks, init, events, properties, exports, program.imports,
     )  # fmt: skip
     if any(variable.type is BOOL for variable in locals_):
         from koordgen.lang.analyze.rules.waiting import check_waiting
@@ -106,6 +107,11 @@ def _module(module: decl.Module, a: Analysis) -> decl.Module:
         return module
     assumed = [replace(item, formula=_formula(item.formula, "assume", a)) for item in module.assumptions]
     return replace(module, assumptions=tuple(assumed))
+
+
+def _export(export: decl.Export, a: Analysis) -> decl.Export:
+    guarantees = [replace(each, formula=_formula(each.formula, "guarantee", a)) for each in export.guarantees]
+    return replace(export, guarantees=tuple(guarantees))
 
 
 def _formula(formula: Expr, place: Section, a: Analysis) -> Expr:

@@ -13,6 +13,7 @@ from koordgen.lang.ir.decl import (
     ExternFunction,
     ExternTypeDef,
     Function,
+    Import,
     Local,
     Module,
     Param,
@@ -32,7 +33,7 @@ from koordgen.lang.syntax import stmt as tree
 
 # Declaration that a name refers to. The block of a Function is empty until its body has been checked; the checks of
 # other bodies need only the function's signature.
-Entity = Param | Module | Shared | Local | Record | ExternTypeDef | Function | ExternFunction | SpecFunction
+Entity = Param | Module | Shared | Local | Record | ExternTypeDef | Function | ExternFunction | SpecFunction | Import
 PREDEFINED = ("pid", "N_SYS", "ID", *FUNCTIONS, *CONSTANTS, *NAMED, *GENERIC, "range", "Queue", "Set", "Map")
 
 
@@ -65,6 +66,7 @@ class Context(Reporter):
         self.owners: dict[str, Node] = {}  # name -> syntax node that declares it; filled before `entities`
         self.entities: dict[str, Entity | None] = {}  # by name; None if the declaration is wrong: uses are not reported
         self.types: dict[str, Type | None] = {}  # records and extern types by name; None: the declaration is wrong
+        self.imported: dict[str, Import] = {}  # imported variable -> the import that declares it
         self.calls: dict[str, set[str]] = {}  # function -> the functions it calls
         self.enter("constant")
 
@@ -75,6 +77,7 @@ class Context(Reporter):
         self.minted: set[str] = set()
         self.function = ""  # name of the `fun` whose body is being checked
         self.result: Type | None = None  # the function's result type; None: not known yet (2020 dialect)
+        self.guaranteed = ""  # exported variable whose guarantee is being checked
         self.module = ""  # module whose assumption is being checked
         self.loops = 0  # number of enclosing loops
         self.entry: LoopEntry | None = None  # start of the loop whose invariant is being checked

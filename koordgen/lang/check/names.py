@@ -1,6 +1,6 @@
 """Assignment of names to their declarations, with errors for names that are declared twice or predefined.
 
-Variables, params, modules, functions, records and extern types share one namespace.
+Variables, params, modules, imports, functions, records and extern types share one namespace.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from koordgen.lang.syntax.types import BrokenType
 
 Owner = (
     ast.Variable | ast.Param | ast.Using | ast.RecordDef | ast.ExternType | ast.Function | ast.ExternFunction
-    | ast.SpecFunction
+    | ast.SpecFunction | ast.Import | ast.Imported
 )  # fmt: skip
 
 
@@ -39,7 +39,12 @@ def claim_names(program: ast.Program, c: Context) -> None:
             case ast.Priority(events):
                 for event in events:
                     c.owners[f"event {event.name}"] = event
-            case ast.Init() | ast.Property() | ast.BrokenSection() | ast.Param(BrokenType()):
+            case ast.Import(name, items):
+                _claim(name, section, "", kinds, c)
+                for item in items:
+                    if not (isinstance(item, ast.Imported) and isinstance(item.type, BrokenType)):
+                        _claim(item.name, item, "imported", kinds, c)
+            case ast.Init() | ast.Property() | ast.Export() | ast.BrokenSection() | ast.Param(BrokenType()):
                 pass
             case _:
                 _claim(section.name, section, "", kinds, c)

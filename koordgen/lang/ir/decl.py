@@ -7,7 +7,7 @@ from typing import Literal
 
 from koordgen.lang.ir.expr import Expr, PortCall, Quantified, TempRead
 from koordgen.lang.ir.stmt import Block
-from koordgen.lang.ir.tree import children
+from koordgen.lang.ir.tree import children, walk
 from koordgen.lang.ir.types import RecordType, Type
 from koordgen.lang.node import Node
 from koordgen.lang.source import Span
@@ -212,11 +212,67 @@ class Property(Node):
     span: Span
 
 
+class Guarantee(Node):
+    """Guarantee of an exported variable: `guarantee NAME: formula`. Each write of the variable keeps it.
+
+    The formula reads the variable as the temp `before`, and the value after a write as the temp `after`. A formula
+    without `after` is a state guarantee: it holds in every state. A formula with it is a step guarantee: it holds
+    between the store just before a write and the store after it.
+    """
+
+    name: str
+    before: str
+    after: str
+    formula: Expr
+    span: Span
+
+
+def is_step(guarantee: Guarantee) -> bool:
+    """Return whether a guarantee compares the values before and after a write."""
+    return any(isinstance(node, TempRead) and node.name == guarantee.after for node in walk(guarantee.formula))
+
+
+class Export(Node):
+    """Exported variable: one that other applications of the fleet may import, and write if `is_written`."""
+
+    variable: str
+    is_written: bool
+    guarantees: tuple[Guarantee, ...]
+    span: Span
+
+
+class Import(Node):
+    """Section `import NAME:`, bound to an application by the fleet file.
+
+    `variables` has the names of all imported variables, which are in `Program.shared`: those in `slots` are allread in
+    the exporter and lists here, and the program writes those in `written` only. `specs` has the names of the spec
+    functions that the exporter declares as well; they are in `Program.specs`.
+    """
+
+    name: str
+    variables: tuple[str, ...]
+    slots: tuple[str, ...]
+    written: tuple[str, ...]
+    specs: tuple[str, ...]
+    span: Span
+
+    @property
+    def size(self) -> str:
+        """Name of the param that is the number of the exporter's members."""
+        return f"{self.name}.N_SYS"
+
+    @property
+    def pid(self) -> str:
+        """Name of the local variable that is this robot's place among the exporter's members, or -1."""
+        return f"{self.name}.pid"
+
+
 class Program(Node):
     """A checked program.
 
     `path` is the source's file name without folders, because bundles quote it. `locks` has disjoint groups of shared
-    variables that occur together in atomic events.
+    variables that occur together in atomic events. `shared`, `params`, `locals` and `specs` also contain what the
+    imports declare, after the program's own.
     """
 
     name: str
@@ -234,6 +290,8 @@ class Program(Node):
     init: Block
     events: tuple[Event, ...]
     properties: tuple[Property, ...]
+    exports: tuple[Export, ...] = ()
+    imports: tuple[Import, ...] = ()
 
     def earlier(self, event: Event) -> tuple[Event, ...]:
         """Return the events before `event` in its `priority:` block; none if it stands in no block.

@@ -130,12 +130,18 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
     decl.Local: (0x7B, "name type initial"),
     decl.Event: (0x7C, "name guard effect lock priority"),
     decl.Property: (0x7D, "kind name formula"),
+    decl.Guarantee: (0x65, "name ~before ~after formula"),
+    decl.Export: (0x66, "variable is_written guarantees"),
+    decl.Import: (0x67, "name variables slots written specs"),
     # `init` comes first, because the temporaries of the program's own scope are those of `init`.
     decl.Program: (
         0x7E,
         "name init records extern_types functions externs specs params modules shared locals locks events properties",
     ),
 }
+
+# Tag of a program with exports or imports, and the fields that it has after those in LAYOUTS.
+CONNECTED: Final = 0x68, "exports imports"
 
 # Words that no Koord program contains: directions of ports, and updates of values (ir/builtins.py). All others (names
 # of types, operators, builtin functions, kinds of properties) are words of the language and encoded as strings.
@@ -147,6 +153,7 @@ WORDS: Final[dict[str, int]] = {
 
 _SCOPES: Final = (
     decl.Program, decl.Function, decl.ExternFunction, decl.SpecFunction, decl.Assumption, decl.Event, decl.Property,
+    decl.Guarantee,
 )  # fmt: skip
 
 _Item = Node | tuple[Any, ...] | str | int | float | None
@@ -174,6 +181,7 @@ def _compiled(entry: tuple[int, str], node: type) -> tuple[int, bool, tuple[tupl
 
 
 _COMPILED = {node: _compiled(entry, node) for node, entry in LAYOUTS.items()}
+_CONNECTED = _compiled((CONNECTED[0], f"{LAYOUTS[decl.Program][1]} {CONNECTED[1]}"), decl.Program)
 
 
 def _string(value: str) -> bytes:
@@ -223,6 +231,8 @@ class _Writer:
                 out += b"\6" + _number(len(item))
                 pending.extend(reversed(item))
             elif (layout := _COMPILED.get(kind)) is not None:
+                if kind is decl.Program and (item.exports or item.imports):
+                    layout = _CONNECTED
                 tag, scope, fields = layout
                 out.append(tag)
                 if scope:

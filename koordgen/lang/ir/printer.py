@@ -52,6 +52,12 @@ def show(program: decl.Program) -> str:
         lines += [f"event {event.name}{lock}{block}", f"  when {expression(event.guard)}", *_block(event.effect, "  ")]
     for property_ in program.properties:
         lines.append(f"{' '.join((property_.kind, property_.name)).strip()}: {expression(property_.formula)}")
+    for export in program.exports:
+        lines.append(f"export {'write ' if export.is_written else ''}{export.variable}")
+        lines += [f"  guarantee {g.name}: {expression(g.formula)}" for g in export.guarantees]
+    for imported in program.imports:
+        names = [f"{'write ' if name in imported.written else ''}{name}" for name in imported.variables]
+        lines.append(f"import {imported.name}: {', '.join(names)}")
     return "\n".join(lines) + "\n"
 
 

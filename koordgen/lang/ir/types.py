@@ -87,6 +87,8 @@ class PerRobot(Node):
         return f"{self.element}[N_SYS]"
 
 
+MOST_ROBOTS = 128  # the largest number of robots in a fleet
+
 # Default capacities: of shared variables, and of local ones.
 SHARED_ELEMENTS, SHARED_BYTES, SHARED_CELLS, SHARED_RAYS = 64, 256, 1024, 64
 LOCAL_ELEMENTS, LOCAL_BYTES, LOCAL_CELLS, LOCAL_RAYS = 4096, 4096, 65536, 4096

@@ -55,6 +55,7 @@ def verify(program: decl.Program) -> None:
         for name, type_ in decl.free(property_.formula).items() if property_.kind == "axiom" else ():
             walk.declare(name, type_, property_.span)
         walk.typed(property_.formula, BOOL)
+    walk.interface()
 
 
 class _Walk(Expressions):
@@ -138,6 +139,31 @@ class _Walk(Expressions):
                 f"a lock has undeclared variables, or none: {', '.join(group)}",
                 at,
             )
+
+    def interface(self) -> None:
+        """Verify exports and imports: their variables are declared, and guarantees read the exported one only."""
+        p = self.program
+        _distinct("export", [(export.variable, export.span) for export in p.exports])
+        kinds = {v.name: v for v in p.shared}
+        for export in p.exports:
+            variable = kinds.get(export.variable)
+            if variable is None:
+                fail(f"the exported variable {export.variable} is not declared", export.span)
+                continue
+            require(variable.kind == "allwrite" or not export.is_written, "an exported slot is written", export.span)
+            type_: Type = PerRobot(variable.type) if variable.kind == "allread" else variable.type
+            for guarantee in export.guarantees:
+                self.enter("guarantee")
+                self.declare(guarantee.before, type_, guarantee.span)
+                self.declare(guarantee.after, type_, guarantee.span)
+                self.typed(guarantee.formula, BOOL)
+        for imported in p.imports:
+            for name in imported.variables:
+                require(name in self.cells, f"the imported variable {name} is not declared", imported.span)
+            inside = {*imported.slots, *imported.written} <= set(imported.variables)
+            require(inside and not {*imported.slots} & {*imported.written}, "an import is inconsistent", imported.span)
+            members = imported.size in self.params and imported.pid in self.locals
+            require(members, f"the members of {imported.name} are not declared", imported.span)
 
     def functions(self) -> None:
         callees: set[str] = set()

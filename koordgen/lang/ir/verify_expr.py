@@ -43,13 +43,13 @@ from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 
 # Sections that allow a node, if not all do: `literal` (defaults of params and records), `constant` (other initial
-# values), `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`.
+# values), `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`, `guarantee`.
 _ACTING = frozenset(("init", "guard", "effect"))
 _PLACES: dict[type, frozenset[str]] = {
     expr.Pid: _ACTING | {"assume"},
-    expr.NSys: _ACTING | {"property", "assume"},
-    expr.Ids: _ACTING | {"property", "assume"},
-    expr.ParamRead: _ACTING | {"constant", "function", "contract", "property", "assume"},
+    expr.NSys: _ACTING | {"property", "assume", "guarantee"},
+    expr.Ids: _ACTING | {"property", "assume", "guarantee"},
+    expr.ParamRead: _ACTING | {"constant", "function", "contract", "property", "assume", "guarantee"},
     expr.LocalRead: _ACTING,
     expr.SlotRead: _ACTING | {"property"},
     expr.SlotsRead: frozenset(("guard", "effect", "property")),
@@ -57,9 +57,9 @@ _PLACES: dict[type, frozenset[str]] = {
     expr.PortRead: _ACTING | {"assume"},
     expr.LocalOf: frozenset(("property",)),
     expr.PortOf: frozenset(("property",)),
-    expr.Quantified: frozenset(("contract", "property", "assume")),
-    expr.Call: _ACTING | {"function", "contract", "property", "assume"},
-    expr.ExternCall: _ACTING | {"function", "contract", "property", "assume"},
+    expr.Quantified: frozenset(("contract", "property", "assume", "guarantee")),
+    expr.Call: _ACTING | {"function", "contract", "property", "assume", "guarantee"},
+    expr.ExternCall: _ACTING | {"function", "contract", "property", "assume", "guarantee"},
     expr.PortCall: frozenset(("init", "effect", "assume")),
 }
 
@@ -326,7 +326,7 @@ class Expressions:
         match node:
             case expr.Call(name, args):
                 require(
-                    name in self.callees or (name in self.specs and self.place == "property"),
+                    name in self.callees or (name in self.specs and self.place in ("property", "guarantee")),
                     f"the function {name} cannot be called here",
                     span,
                 )

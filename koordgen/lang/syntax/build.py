@@ -122,6 +122,46 @@ def _optional(c: Children) -> tuple[tuple[Any, ...], Any]:
     return found, None
 
 
+def export_(c: Children) -> decl.Export:
+    return decl.Export(nodes(c), token_span(c[0]))
+
+
+def exported(c: Children) -> decl.Exported:
+    is_written, c = _is_written(c)
+    return decl.Exported(c[0], c[1][1], None, is_written, _guarantees(c), token_span(c[1]))
+
+
+def exported_array(c: Children) -> decl.Exported:
+    return decl.Exported(c[0], c[1][1], c[3], False, _guarantees(c), token_span(c[1]))
+
+
+def _guarantees(c: Children) -> tuple[decl.Guarantee, ...]:
+    return tuple([child for child in c if type(child) is decl.Guarantee])
+
+
+def guarantee_(c: Children) -> decl.Guarantee:
+    return decl.Guarantee(c[1][1], nodes(c)[0], token_span(c[1]))
+
+
+def import_(c: Children) -> decl.Import:
+    return decl.Import(c[1][1], nodes(c), token_span(c[1]))
+
+
+def imported(c: Children) -> decl.Imported:
+    is_written, c = _is_written(c)
+    return decl.Imported(c[0], c[1][1], None, nodes(c[2:]), is_written, token_span(c[1]))
+
+
+def imported_array(c: Children) -> decl.Imported:
+    return decl.Imported(c[0], c[1][1], c[3], nodes(c[5:]), False, token_span(c[1]))
+
+
+def _is_written(c: Children) -> tuple[bool, Children]:
+    """Return whether the children of an exported or imported variable begin with `write`, and the others."""
+    is_written = type(c[0]) is tuple
+    return is_written, c[1:] if is_written else c
+
+
 def record(c: Children) -> decl.RecordDef:
     return decl.RecordDef(c[1][1], nodes(c), token_span(c[1]))
 
@@ -479,6 +519,16 @@ def broken(c: Children) -> expr.Broken:
 def broken_variable(c: Children) -> decl.Variable:
     _, name, _, _, _, span = c[0]
     return decl.Variable(types.BrokenType(span), name, None, (), broken(c), span)
+
+
+def broken_exported(c: Children) -> decl.Exported:
+    _, name, _, _, _, span = c[0]
+    return decl.Exported(types.BrokenType(span), name, None, False, (), span)
+
+
+def broken_imported(c: Children) -> decl.Imported:
+    _, name, _, _, _, span = c[0]
+    return decl.Imported(types.BrokenType(span), name, None, (), False, span)
 
 
 def broken_port(c: Children) -> decl.Port:

@@ -211,6 +211,57 @@ class Priority(Node):
     span: Span
 
 
+class Guarantee(Node):
+    """Guarantee of an exported variable: `guarantee Name: formula`. Its span is the name's."""
+
+    name: str
+    formula: Expr
+    span: Span
+
+
+class Exported(Node):
+    """Exported variable: `Type name` or `Type name[N_SYS]`, and its guarantees.
+
+    `is_written`: with `write` before it, other applications may write the variable. Its span is the name's.
+    """
+
+    type: TypeExpr
+    name: str
+    size: Expr | None
+    is_written: bool
+    guarantees: tuple[Guarantee, ...]
+    span: Span
+
+
+class Export(Node):
+    """Section `export:`. Its span is the keyword's."""
+
+    variables: tuple[Exported, ...]
+    span: Span
+
+
+class Imported(Node):
+    """Imported variable: `Type name[Name.N_SYS] max 16`, or `write Type name` if this program writes it.
+
+    Its span is the name's.
+    """
+
+    type: TypeExpr
+    name: str
+    size: Expr | None
+    capacities: tuple[Expr, ...]
+    is_written: bool
+    span: Span
+
+
+class Import(Node):
+    """Section `import Name:`. Its span is the name's."""
+
+    name: str
+    items: tuple[Imported | SpecFunction, ...]
+    span: Span
+
+
 class BrokenSection(Node):
     """A section that could not be parsed; the error is already reported. `names` has all names in it."""
 
@@ -220,7 +271,7 @@ class BrokenSection(Node):
 
 Section = (
     Using | Param | Variables | RecordDef | Function | ExternFunction | ExternType | SpecFunction | Property | Init
-    | Event | Priority | BrokenSection
+    | Event | Priority | Export | Import | BrokenSection
 )  # fmt: skip
 
 

@@ -263,6 +263,7 @@ def headers(site: ErrorSite) -> Diagnostic | None:
     if site.position == 0:
         return _section(site)
     diagnostic = _annotation(site) or (_priority(site) if site.tokens[0][0] == "priority" else None)
+    diagnostic = diagnostic or (_interface(site) if site.tokens[0][0] in ("export", "import") else None)
     if diagnostic is not None:
         return diagnostic
     if site.kind == ":" and site.start > 0 and site.first[0] == "invariant":
@@ -329,10 +330,39 @@ def _priority(site: ErrorSite) -> Diagnostic | None:
     return None
 
 
+def _interface(site: ErrorSite) -> Diagnostic | None:
+    """Report errors in `export:` and `import Name:`, among them the `import` of Python."""
+    found = f"'{shown(site.text)}'" if site.text and not site.ends else "the end of the line"
+    if site.tokens[0][0] == "import" and site.level() == 0 and (site.ends or site.kind != ":"):
+        help = (
+            "'import Name:' takes variables of another application; a function written in Python is declared: "
+            "extern fun name(Type x) -> Type"
+        )
+        if site.expected == {":"}:
+            return site.error(f"expected ':' after 'import {shown(site.head[-1][1])}', found {found}", help)
+    if site.kind == ":" and site.before_is("import"):
+        return site.error("expected a name after 'import', found ':'", "write 'import Name:'")
+    if site.kind == "NAME" and site.before_is("export"):
+        help = "'export:' has no name: the fleet file gives the application its name"
+        return site.error(f"expected ':' after 'export', found {found}", help)
+    if site.kind == "=" and site.level() == 1:
+        where = (
+            "the exporter's declaration"
+            if site.tokens[0][0] == "import"
+            else "its declaration under 'allwrite:' or 'allread:'"
+        )
+        return site.error("expected the end of the line, found '='", f"the initial value is that of {where}")
+    if site.kind == ":" and site.before_is("guarantee"):
+        return site.error("expected a name after 'guarantee', found ':'", "write 'guarantee Name: ...'")
+    if site.kind == "max" and site.tokens[0][0] == "export":
+        return site.error("expected the end of the line, found 'max'", "the capacity is that of the declaration")
+    return None
+
+
 def _section(site: ErrorSite) -> Diagnostic:
     help = (
         "a section begins with 'using', 'param', 'local', 'allread', 'allwrite', 'def', 'fun', 'init', 'invariant', "
-        "..., 'priority' or, for an event, with its name: 'Name:'"
+        "..., 'priority', 'export', 'import' or, for an event, with its name: 'Name:'"
     )
     if site.kind in ("pre", "eff"):
         help = f"'{site.kind}' must be indented under the name of its event"

@@ -29,7 +29,12 @@ KEYWORDS = frozenset(
 )  # fmt: skip
 GENERICS = frozenset(("List", "Map", "Set", "Queue"))
 # Soft keywords: keywords in one place each, names elsewhere.
-_SOFT = frozenset(("max", "type", "requires", "ensures", "priority", "as", "at", "clears"))
+_SOFT = frozenset(
+    (
+        "max", "type", "requires", "ensures", "priority", "as", "at", "clears", "export", "import", "write",
+        "guarantee",
+    )
+)  # fmt: skip
 _MARKS = frozenset(
     (
         "//=", "**=", "**", "+=", "-=", "*=", "/=", "%=", "//", "<<", "==", "!=", "<=", ">=", "&&", "||", "->",
@@ -313,8 +318,10 @@ class _Layout:
             meant = named and tokens[0][0] == "using"
         elif text == "type":
             meant = last == "extern"
-        elif text == "priority":  # at the left margin
+        elif text in ("priority", "export", "import"):  # at the left margin
             meant = not tokens
+        elif text in ("write", "guarantee"):  # at the beginning of a line, or after a header's colon
+            meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] in ("export", "import")
         else:  # the contracts of an extern function
             meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] == "extern"
         return text if meant else "NAME"

@@ -10,7 +10,7 @@ from koordgen.lang.syntax.layout import KEYWORDS, Token
 
 _SECTIONS = (
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
-    "init", "priority",
+    "init", "priority", "export", "import",
 )  # fmt: skip
 _STATEMENTS = (
     "if", "elif", "else", "for", "while", "atomic", "return", "break", "continue", "pass", "stop",
@@ -25,7 +25,9 @@ def misspelt_keyword(site: ErrorSite) -> Diagnostic | None:
     """
     tokens = site.tokens
     last = tokens[site.position]
-    tries: list[tuple[Token, Iterable[str]]] = [(last, sorted(site.expected & (KEYWORDS | {"requires", "ensures"})))]
+    tries: list[tuple[Token, Iterable[str]]] = [
+        (last, sorted(site.expected & (KEYWORDS | {"requires", "ensures", "guarantee"})))
+    ]
     if site.before is not None and site.kind in ("NAME", "not", "forall", "exists"):
         tries.append((site.before, ("forall", "exists", "not", "in")))
     if site.start < site.position:

@@ -14,7 +14,7 @@ from koordgen.build.bundle.drivers import check_drivers, driver_files
 from koordgen.build.bundle.functions import check_functions, functions_file
 from koordgen.build.bundle.port_calls import check_calls
 from koordgen.build.bundle.ports import check_ports
-from koordgen.build.pipeline import Rejected, read_source
+from koordgen.build.pipeline import Rejected, check_alone, read_source
 from koordgen.cli import main
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest
@@ -167,6 +167,7 @@ def test_examples_of_builds(code: str, tmp_path: Path) -> None:
         assert program is not None
         assert before == []
         told = check_ports(program, [manifest.load(target[1])] if target else [])
+        told += check_alone(program)
         told += check_functions(program, functions_file(program, tmp_path, None))
         told += with_driver(program, found.wrong_note, tmp_path)
         told += check_budget(program, int(robots[1]) if robots else 1)

@@ -17,7 +17,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES, Signature
-from koordgen.lang.ir.encoding import HEADER, LAYOUTS, VERSION, WORDS, encode
+from koordgen.lang.ir.encoding import CONNECTED, HEADER, LAYOUTS, VERSION, WORDS, encode
 from koordgen.lang.ir.types import FLOAT, INT, STRING, MapOf, Sequence, Sized, list_of
 from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
@@ -79,13 +79,14 @@ def unencoded(node: type) -> set[str]:
 def test_each_field_of_each_node_is_encoded_or_listed_as_a_mark(node: type[Node]) -> None:
     assert node in LAYOUTS, "give the new node kind a tag"
     encoded = [field.lstrip("~:^=") for field in LAYOUTS[node][1].split()]
+    encoded += CONNECTED[1].split() if node is decl.Program else []
     fields = set(node.__match_args__)  # type: ignore[attr-defined]
     assert len(encoded) == len(set(encoded))
     assert set(encoded) == fields - unencoded(node), "encode the new field, or list it as a mark"
 
 
 def test_tags_and_words_are_one_to_one() -> None:
-    tags = [tag for tag, _ in LAYOUTS.values()]
+    tags = [tag for tag, _ in (*LAYOUTS.values(), CONNECTED)]
     assert len(set(tags)) == len(tags) and min(tags) >= 0x10 and max(tags) <= 0x7F
     assert len(set(WORDS.values())) == len(WORDS)
     directions = get_args(get_type_hints(decl.Port)["direction"])
@@ -99,7 +100,8 @@ def test_tags_and_words_are_one_to_one() -> None:
 def programs() -> dict[str, decl.Program]:
     files = [*sorted(ROOT.glob("examples/*/*.koord")), KITCHEN]
     found = {str(path.relative_to(ROOT)): check_file(str(path)).program for path in files}
-    return {**found, "tests/lang/check/sound.py": compiled(TEXT)}
+    connected = {"EXPORTER": compiled(EXPORTER), "IMPORTER": compiled(IMPORTER)}
+    return {**found, "tests/lang/check/sound.py": compiled(TEXT), **connected}
 
 
 def digests() -> str:
@@ -197,6 +199,39 @@ invariant Low: forall i in ID: exists j in ID: x[i] <= x[j]
 invariant High: forall i in ID: k[i] < 9
 """
 
+EXPORTER = """\
+export:
+  write List<int> done
+    guarantee Kept: len(done) <= len(done')
+    guarantee Few: len(done) < 9
+  int place[N_SYS]
+allwrite: List<int> done max 20
+allread: int place[N_SYS]
+Go:
+  pre: place[pid] < 3
+  eff: place[pid] = place[pid] + 1
+"""
+IMPORTER = """\
+import Mapping:
+  write List<int> done max 20
+  int place[Mapping.N_SYS]
+  spec fun good(int a) -> bool
+Go:
+  pre: Mapping.pid >= 0 and place[Mapping.pid] > 3
+  eff: atomic: done.append(Mapping.N_SYS)
+invariant Good: forall i in Mapping.ID: good(place[i])
+"""
+CONNECTIONS = {
+    "an export": (EXPORTER, "  int place[N_SYS]\n", "", 1),
+    "write of an export": (EXPORTER, "write List", "List", 1),
+    "a guarantee": (EXPORTER, "    guarantee Few: len(done) < 9\n", "", 1),
+    "the name of a guarantee": (EXPORTER, "Few", "Low", 1),
+    "the formula of a guarantee": (EXPORTER, "< 9", "< 8", 1),
+    "before and after": (EXPORTER, "len(done) <= len(done')", "len(done') <= len(done)", 1),
+    "the name of an import": (IMPORTER, "Mapping", "Survey", -1),
+    "write of an import": (IMPORTER.replace("atomic: done.append(Mapping.N_SYS)", "pass"), "write ", "", 1),
+}
+
 SAME = {
     "a comment": ("  int size", "  int size  # metres"),
     "an empty line": ("using Motion:", "\n\nusing Motion:"),
@@ -253,6 +288,13 @@ def test_programs_with_one_meaning_have_one_encoding(what: str) -> None:
 def test_programs_with_different_meanings_have_different_encodings() -> None:
     encodings = {what: encode(changed_text(change)) for what, change in OTHER.items()} | {"": encode(compiled(BASE))}
     assert len(set(encodings.values())) == len(encodings)
+
+
+@pytest.mark.parametrize("what", CONNECTIONS)
+def test_exports_and_imports_count(what: str) -> None:
+    text, old, new, count = CONNECTIONS[what]
+    assert old in text
+    assert encode(compiled(text)) != encode(compiled(text.replace(old, new, count)))
 
 
 def test_the_name_of_the_file_counts_and_its_ending_does_not() -> None:

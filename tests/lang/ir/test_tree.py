@@ -19,7 +19,7 @@ from koordgen.lang.syntax import expr as written
 from koordgen.verify.prove.encode.expr import _READERS as prover
 from tests.agree.faults import rewritten
 from tests.lang.ir.everything import nodes
-from tests.lang.ir.test_encoding import KITCHEN, compiled, ir_classes
+from tests.lang.ir.test_encoding import EXPORTER, KITCHEN, compiled, ir_classes
 
 AT = Span(7, 7, 7, 8)
 ONE, TWO, THREE = (expr.Const(i, INT, AT) for i in (1, 2, 3))
@@ -79,16 +79,18 @@ FIELDS: dict[type[Node], tuple[str, ...]] = {
     decl.Local: ("initial",),
     decl.Event: ("guard", "effect"),
     decl.Property: ("formula",),
+    decl.Guarantee: ("formula",),
+    decl.Export: ("guarantees",),
     decl.Program: (
         *("records", "extern_types", "functions", "externs", "specs", "params", "modules", "shared", "locals", "init"),
-        *("events", "properties"),
+        *("events", "properties", "exports", "imports"),
     ),
 }
 LEAVES = {
     *(expr.Const, expr.Pid, expr.NSys, expr.Ids, expr.ParamRead, expr.LocalRead, expr.TempRead, expr.SlotsRead),
     *(expr.SharedRead, expr.PortRead),
     *(stmt.LocalPlace, stmt.OwnSlot, stmt.SharedPlace, stmt.PortPlace, stmt.TempPlace, stmt.Break, stmt.Continue),
-    *(stmt.Stop, decl.Parameter, decl.ExternTypeDef, decl.Port, decl.Meaning),
+    *(stmt.Stop, decl.Parameter, decl.ExternTypeDef, decl.Port, decl.Meaning, decl.Import),
     *TYPES,
 }
 
@@ -153,7 +155,7 @@ def test_a_node_that_stands_in_two_places_is_yielded_twice() -> None:
 
 def test_a_walk_visits_all_but_what_is_read_where_it_stands() -> None:
     """`nodes` goes into every field."""
-    programs = (kitchen(), compiled(LOOP))
+    programs = (kitchen(), compiled(LOOP), compiled(EXPORTER))
     expected = [node for node in nodes(programs) if not isinstance(node, (Span, decl.Meaning, *TYPES))]
     assert [id(node) for node in walk(programs)] == [id(node) for node in expected]
     assert {type(node) for node in expected} >= FIELDS.keys()

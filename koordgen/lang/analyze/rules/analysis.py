@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+from koordgen.lang.analyze.facts import linear
 from koordgen.lang.analyze.facts.linear import Formula
 from koordgen.lang.analyze.facts.path import Condition, Path, point_with_facts
 from koordgen.lang.analyze.facts.runs import Loop
-from koordgen.lang.analyze.facts.terms import Flow, term
-from koordgen.lang.ir.decl import Param
+from koordgen.lang.analyze.facts.terms import Flow, names_of, term
+from koordgen.lang.ir.decl import Import, Program
 from koordgen.lang.ir.draft import Section
 from koordgen.lang.ir.types import INT
 from koordgen.lang.node import Node
@@ -38,6 +39,23 @@ class SavedState(NamedTuple):
     kept: dict[str, Any]
 
 
+def _facts_about(imports: Iterable[Import]) -> Flow:
+    """Return the facts that hold everywhere.
+
+    An imported allread variable has a slot for each of the exporter's members; `Name.pid` is a member's pid or -1.
+    """
+    values: dict[str, tuple[linear.Linear | Formula, frozenset[str]]] = {}
+    conditions: list[Formula] = []
+    for imported in imports:
+        size, pid = linear.variable(f"param {imported.size}"), linear.variable(f"local {imported.pid}")
+        for name in imported.slots:
+            values[f"len shared {name}"] = size, names_of(size)
+        conditions += [linear.at_least(size, linear.constant(1)), linear.at_least(pid, linear.constant(-1))]
+        conditions.append(linear.less(pid, size))
+    about = frozenset(name for _, names in values.values() for name in names)
+    return Flow((), values, about).assuming(linear.And(tuple(conditions)))
+
+
 def _copied(value: Any) -> Any:
     return value.copy() if isinstance(value, (list, dict, set)) else value
 
@@ -45,9 +63,10 @@ def _copied(value: Any) -> Any:
 class Analysis(Reporter):
     """Mutable state of the analysis of a program. `enter` resets the part that belongs to one section."""
 
-    def __init__(self, source: Source, params: Iterable[Param]) -> None:
+    def __init__(self, source: Source, program: Program) -> None:
         super().__init__(source)
-        self.params = {param.name: param for param in params}
+        self.params = {param.name: param for param in program.params}
+        self.flow_at_start = _facts_about(program.imports)
         self.defaults: dict[str, int] = {}  # "param k" -> default of the param k, for examples in messages
         for param in self.params.values():
             value = term(param.default, Flow()) if param.type == INT else None
@@ -58,7 +77,7 @@ class Analysis(Reporter):
     def enter(self, place: Section) -> None:
         """Begin the analysis of a section: reset the attributes that belong to one section."""
         self.place: Section = place
-        self.path: Path | None = Path()  # the current point; None if the point is unreachable
+        self.path: Path | None = point_with_facts(self.flow_at_start)  # None if the current point is unreachable
         self.guard: Condition | None = None
         self.mentioned: set[str] = set()  # names used before this point: local and shared variables, "pid"
         self.poisoned = False  # a condition on the path is wrong, so code that depends on it is not checked

@@ -22,7 +22,11 @@ _CHECKED_AT_RUN_TIME = (
 
 def help_at_run_time(a: Analysis) -> str:
     """Return the help for an index or a divisor that may be wrong."""
-    return "restrict the formula to robots of the fleet" if a.place in ("property", "assume") else _CHECKED_AT_RUN_TIME
+    return (
+        "restrict the formula to robots of the fleet"
+        if a.place in ("property", "assume", "guarantee")
+        else _CHECKED_AT_RUN_TIME
+    )
 
 
 def unproved_side(value: Linear | None, size: Linear | None, index: str, many: str, a: Analysis) -> str:

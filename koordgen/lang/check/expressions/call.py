@@ -331,8 +331,8 @@ def _function(
             "K025", f"an initial value cannot call {name}", function.span, "set the variable in init", (), *args
         )
     # Contracts cannot call a spec function either, because robots check contracts.
-    if isinstance(entity, decl.SpecFunction) and c.place != "property":
-        message = f"{name} is declared by 'spec fun': it can only be used in properties"
+    if isinstance(entity, decl.SpecFunction) and c.place not in ("property", "guarantee"):
+        message = f"{name} is declared by 'spec fun': it can only be used in properties and guarantees"
         help = "a 'fun' or an 'extern fun' can be called everywhere"
         return c.error("K027", message, function.span, help, (), *args)
     if c.function:

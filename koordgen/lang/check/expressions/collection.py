@@ -15,7 +15,7 @@ from koordgen.lang.check.base import (
     with_article,
 )
 from koordgen.lang.check.context import Context, Temp
-from koordgen.lang.check.expressions.name import declared_port, module_named, report_shared_in_init
+from koordgen.lang.check.expressions.name import declared_port, import_named, module_named, report_shared_in_init
 from koordgen.lang.check.names import is_reserved
 from koordgen.lang.diagnostics import Label
 from koordgen.lang.ir import expr as ir
@@ -170,6 +170,10 @@ def check_index(node: ast.Index, c: Context, wanted: Type | None = None) -> ir.E
         module = module_named(value.value, c)
         if module is not None:
             return _port_of(node, value, c)
+        imported = import_named(value.value, c)
+        if imported is not None and value.name == "pid":
+            index = robot_index(node.index, c)
+            return index if index.type is POISON else ir.LocalOf(imported.pid, index, INT, node.span)
     operand = check_expr(value, c)
     index = check_expr(node.index, c)
     if operand.type is POISON or index.type is POISON:
@@ -315,6 +319,11 @@ def check_domain(node: ast.Expr, c: Context) -> ir.Expr:
     """Check the domain of a loop or quantifier: `range(...)`, or a value with elements."""
     if isinstance(node, ast.Call) and isinstance(node.function, ast.Name) and node.function.name == "range":
         return _range(node, c)
+    if isinstance(node, ast.Attribute) and node.name == "ID":
+        imported = import_named(node.value, c)
+        if imported is not None:
+            size = check_expr(ast.Attribute(node.value, "N_SYS", node.name_span, node.span), c)
+            return size if size.type is POISON else ir.Range(ir.Const(0, INT, node.span), size, 1, _INTS, node.span)
     values = check_expr(node, c)
     if values.type is POISON or isinstance(values.type, (Sequence, MapOf, PerRobot)):
         return values
@@ -357,9 +366,9 @@ def _step(node: ir.Expr) -> int:
 
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Check a quantifier. A quantifier of several names becomes nested quantifiers over the same domain."""
-    if c.place not in ("property", "contract", "assume") and c.entry is None:
+    if c.place not in ("property", "contract", "assume", "guarantee") and c.entry is None:
         help = "use a loop in place of the quantifier: 'for i in ID:'"
-        message = f"'{node.kind}' is only allowed in properties, contracts and loop invariants"
+        message = f"'{node.kind}' is only allowed in properties, guarantees, contracts and loop invariants"
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
     c.scopes.append({})

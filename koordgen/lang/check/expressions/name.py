@@ -15,6 +15,7 @@ from koordgen.lang.ir.decl import (
     ExternFunction,
     ExternTypeDef,
     Function,
+    Import,
     Local,
     Module,
     Param,
@@ -122,6 +123,8 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
             return _shared(name, entity, span, c)
         case Module():
             return c.error("K017", f"{name} is a module, not a value", span, f"name a port of the module: {name}.port")
+        case Import():
+            return c.error("K017", f"{name} is an import, not a value", span, f"write {_MEMBERS.format(name)}")
         case Record():
             return c.error("K017", f"{name} is a record, not a value", span, f"{name}(...) makes one")
         case ExternTypeDef():
@@ -163,6 +166,10 @@ def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr 
         case "property":
             help = _INSTEAD_OF_A_ROBOT.get(name, f"write {name}[i], with 'forall i in ID:' before it")
             return c.error("K054", f"a property must name the robot whose {name} it reads", span, help)
+        case "guarantee":
+            both = f"{c.guaranteed} and {c.guaranteed}'"
+            message = f"a guarantee can only use {both}, params, and ID and N_SYS, not {what}{name}"
+            return c.error("K054", message, span, "an invariant may relate several variables")
         case _:
             message = f"an assumption can only use its module's ports, params and pid, not {what}{name}"
             return c.error("K054", message, span)
@@ -173,7 +180,7 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     if name == "pid":
         return (reject_robot_state("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
     if name == "N_SYS" or name == "ID":
-        wrong = reject_robot_state("", name, span, c) if c.place not in ("property", "assume") else None
+        wrong = reject_robot_state("", name, span, c) if c.place not in ("property", "assume", "guarantee") else None
         return wrong or (ir.NSys(INT, span) if name == "N_SYS" else ir.Ids(_IDS, span))
     if name in CONSTANTS:
         return ir.Const(CONSTANTS[name], FLOAT, span)
@@ -289,7 +296,37 @@ def _backwards(node: Section | tree.Stmt, here: tuple[int, int]) -> Iterator[tre
             yield block[place]
 
 
+_MEMBERS = "{0}.N_SYS, {0}.ID or {0}.pid"
+
+
+def import_named(node: ast.Expr, c: Context) -> Import | None:
+    """Return the import whose name an expression consists of, or None."""
+    if type(node) is not ast.Name or c.temp(node.name) is not None:
+        return None
+    entity = c.entities.get(node.name)
+    return entity if type(entity) is Import else None
+
+
+def _member(imported: Import, node: ast.Attribute, c: Context) -> ir.Expr:
+    """Check `Name.N_SYS` and `Name.pid`, which describe the robots that run an imported application."""
+    name, span, text = node.name, node.span, f"{imported.name}.{node.name}"
+    if name == "pid":
+        return reject_robot_state("", text, span, c) or ir.LocalRead(imported.pid, INT, span)
+    if name in ("N_SYS", "ID") and c.place in ("assume", "guarantee"):
+        return reject_robot_state("", text, span, c) or c.poison(span)
+    if name == "N_SYS":
+        return ir.ParamRead(imported.size, INT, span)
+    if name == "ID":
+        help = f"use it in a loop or a quantifier: 'forall i in {text}:'"
+        return c.error("K017", f"{text} is not a value", span, help)
+    help = f"write {name}" if name in imported.variables else f"write {_MEMBERS.format(imported.name)}"
+    return c.error("K060", f"the import {imported.name} has no part {name}", node.name_span, help)
+
+
 def check_attribute(node: ast.Attribute, c: Context, wanted: Type | None = None) -> ir.Expr:
+    imported = import_named(node.value, c)
+    if imported is not None:
+        return _member(imported, node, c)
     module = module_named(node.value, c)
     if module is not None:
         port = declared_port(module, node, c)
@@ -348,6 +385,8 @@ def _read_port(module: str, port: Port, span: Span, c: Context) -> ir.Expr:
 
 
 def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir.Expr:
+    if c.place == "guarantee":
+        return _after_write(node, c)
     if c.place != "assume":
         help = "a prime means the port's value during the next delta: 'assume position' in Rect(position, target)'"
         return c.error("K054", "a prime can only be used under 'assume'", node.span, help)
@@ -355,6 +394,16 @@ def check_primed(node: ast.Primed, c: Context, wanted: Type | None = None) -> ir
     if isinstance(value, ir.PortRead) and not value.primed:
         return replace(value, primed=True, span=node.span)
     return value if value.type is POISON else c.error("K054", "a prime must follow the name of a port", node.span)
+
+
+def _after_write(node: ast.Primed, c: Context) -> ir.Expr:
+    """Check a prime in a guarantee: the value of the exported variable after a write."""
+    name = c.guaranteed
+    temp = c.temp(f"{name}'")
+    if isinstance(node.value, ast.Name) and node.value.name == name and temp is not None:
+        return ir.TempRead(temp.unique, temp.type, node.span)
+    help = f"{name}' is the value of {name} after a write"
+    return c.error("K054", f"in this guarantee a prime must follow the name {name}", node.span, help)
 
 
 def fields_of(type_: Type) -> dict[str, Type]:

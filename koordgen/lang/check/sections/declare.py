@@ -6,7 +6,7 @@ All types are checked before all initial values, so that declarations may stand 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from koordgen.lang.check.base import check_expr, converted, default
 from koordgen.lang.check.context import Context
@@ -16,6 +16,7 @@ from koordgen.lang.diagnostics import Edit
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.capacity import excess
 from koordgen.lang.ir.types import POISON, ExternType, RecordType, Type
+from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 from koordgen.lang.syntax import decl as ast
 from koordgen.lang.syntax import expr as tree
@@ -132,6 +133,16 @@ def param_defaults(sections: list[ast.Param], c: Context) -> tuple[decl.Param, .
     return tuple(params)
 
 
+class ImportedNames(NamedTuple):
+    """Imports of a program, and the declarations that they add to it."""
+
+    imports: tuple[decl.Import, ...] = ()
+    shared: tuple[decl.Shared, ...] = ()
+    specs: tuple[decl.SpecFunction, ...] = ()
+    sizes: tuple[decl.Param, ...] = ()  # the numbers of the exporters' members
+    pids: tuple[decl.Local, ...] = ()  # this robot's place among the exporters' members
+
+
 TypedVariables = list[tuple[ast.Variable, Kind, Type]]
 
 
@@ -188,7 +199,13 @@ def _has_size(node: ast.Variable, where: str, c: Context) -> bool:
     return node.size is not None
 
 
-def variable_initials(typed: TypedVariables, c: Context) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
+def variable_initials(
+    typed: TypedVariables, imported: ImportedNames, c: Context
+) -> tuple[tuple[decl.Shared, ...], tuple[decl.Local, ...]]:
+    """Return all shared and local variables with their initial values, those of imports last.
+
+    The value of an imported variable comes from the exporter, so here it has the default value of its type.
+    """
     shared: list[decl.Shared] = []
     locals_: list[decl.Local] = []
     for node, kind, type_ in typed:
@@ -197,7 +214,8 @@ def variable_initials(typed: TypedVariables, c: Context) -> tuple[tuple[decl.Sha
             locals_.append(decl.Local(node.name, type_, initial, node.span))
         else:
             shared.append(decl.Shared(node.name, kind, type_, initial, node.span))
-    return tuple(shared), tuple(locals_)
+    shared += [replace(v, initial=default(v.type, v.span, c)) for v in imported.shared]
+    return tuple(shared), (*locals_, *imported.pids)
 
 
 def _initial(

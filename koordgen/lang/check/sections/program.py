@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from koordgen.lang.check.context import Context
 from koordgen.lang.check.names import claim_names
 from koordgen.lang.check.sections.declare import (
+    ImportedNames,
     extern_types,
     param_defaults,
     param_types,
@@ -57,20 +58,21 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
     param_types(of(ast.Param), c)
     typed = variable_types(of(ast.Variables), c)
     ports = modules(of(ast.Using), c)
+    imported = _imports(of(ast.Import), c)
     functions: tuple[decl.Function, ...] = ()
     externs: tuple[decl.ExternFunction, ...] = ()
-    specs: tuple[decl.SpecFunction, ...] = ()
+    specs = imported.specs
     written = of(ast.Function), of(ast.ExternFunction), of(ast.SpecFunction)
     if any(written):
         from koordgen.lang.check.sections import function
 
-        specs = function.specs(written[2], c)
+        specs = (*function.specs(written[2], c), *specs)
         for node in written[1]:
             function.signature(node, c)
         signed = [(node, function.signature(node, c)) for node in written[0]]
     records = record_defaults(fields, c)
     params = param_defaults(of(ast.Param), c)
-    shared, locals_ = variable_initials(typed, c)
+    shared, locals_ = variable_initials(typed, imported, c)
     if any(written):
         functions = function.check_bodies(signed, c)
         externs = function.externs(written[1], c)
@@ -85,11 +87,25 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
 
         properties = check_properties(of(ast.Property), c)
     assuming = assumptions(of(ast.Using), ports, c)
+    exports: tuple[decl.Export, ...] = ()
+    if ast.Export in sections:
+        from koordgen.lang.check.sections.interface import exports as check_exports
+
+        exports = check_exports(of(ast.Export), c)
     path = os.path.basename(c.source.path)
     return decl.Program(
-        os.path.splitext(path)[0], path, records, opaque, functions, externs, specs, params, assuming, shared, locals_,
-        (), init, acting, properties,
+        os.path.splitext(path)[0], path, records, opaque, functions, externs, specs, (*params, *imported.sizes),
+        assuming, shared, locals_, (), init, acting, properties, exports, imported.imports,
     )  # fmt: skip
+
+
+def _imports(sections: list[ast.Import], c: Context) -> ImportedNames:
+    """Define the names that imports declare. Few programs have imports, so their check is loaded on demand."""
+    if not sections:
+        return ImportedNames()
+    from koordgen.lang.check.sections.interface import imports
+
+    return imports(sections, c)
 
 
 def _init(sections: list[ast.Init], c: Context) -> Block:

@@ -30,6 +30,7 @@ from koordgen.lang.ir.decl import (
     ExternFunction,
     ExternTypeDef,
     Function,
+    Import,
     Local,
     Module,
     Param,
@@ -108,6 +109,8 @@ def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
         case Local(type=type_):
             if reject_robot_state("the variable ", name, span, c) is None:
                 return AssignmentTarget(stmt.LocalPlace(name), ir.LocalRead(name, type_, span), _same, True)
+        case Shared(kind="allwrite") if name in c.imported and name not in c.imported[name].written:
+            _read_only(node, c)
         case Shared(kind="allwrite", type=type_):
             if reject_robot_state("the variable ", name, span, c) is None:
                 return AssignmentTarget(stmt.SharedPlace(name), ir.SharedRead(name, type_, span), _same, True)
@@ -115,6 +118,8 @@ def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
             c.error("K017", f"{name} has a value for each robot and needs an index", span, f"write {name}[pid] = ...")
         case Param():
             c.error("K022", f"{name} is a param and cannot be assigned", span, "declare a variable under 'local:'")
+        case Import():
+            c.error("K022", f"{name} is an import and cannot be assigned", span)
         case Module():
             c.error("K022", f"{name} is a module and cannot be assigned", span)
         case Function() | ExternFunction() | SpecFunction():
@@ -122,6 +127,20 @@ def _named(node: ast.Name, c: Context) -> AssignmentTarget | None:
         case Record() | ExternTypeDef():
             c.error("K022", f"{name} is a type and cannot be assigned", span)
     return None
+
+
+def _read_only(node: ast.Name, c: Context) -> None:
+    """Report a write to a variable that is imported without `write`."""
+    name, imported = node.name, c.imported[node.name]
+    entity = c.entities[name]
+    labels = (Label(entity.span, "imported here"),) if entity is not None else ()
+    if name in imported.slots:
+        message = f"{name} belongs to the robots that run {imported.name} and cannot be written here"
+        c.error("K060", message, node.span, "", labels)
+        return
+    help = f"write 'write {{}} {name}' under 'import {imported.name}:'; the exporter must allow it"
+    type_ = entity.type if isinstance(entity, Shared) else ""
+    c.error("K060", f"{name} is imported without 'write'", node.span, help.format(type_), labels)
 
 
 def _unknown(node: ast.Name, c: Context) -> None:
