@@ -58,6 +58,6 @@ def test_the_documents_name_what_is_proved() -> None:
     rows = (ROOT / "docs/examples.md").read_text().splitlines()
     told = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows if row.startswith("| `")]
     assert {row[0].strip("`"): row[1] for row in told if row[0].strip("`") in PROVED} == {
-        name: names.removesuffix("(well-defined)").removesuffix(", ") or "none is said"
+        name: names.removesuffix("(well-defined)").removesuffix(", ") or "no invariant"
         for name, names in PROVED.items()
     }
