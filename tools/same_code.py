@@ -83,7 +83,7 @@ class Definition:
 
     @property
     def label(self) -> str:
-        """Kind and names of the definition, with the names that NEW must have."""
+        """Kind and names of the definition; renamed names appear as in NEW."""
         renames = self.module.renames
         return " ".join((self.kind, *[renames.get(name, name) for name in self.names]))
 
@@ -253,7 +253,10 @@ class Commit:
                 module.imports.setdefault(bound, f"{name}.{bound}")
 
     def resolve(self, dotted: str, depth: int = 0) -> tuple[Definition | Module | None, str, list[str]]:
-        """Return what a dotted path denotes, its name, and the attributes behind it; None outside the repository."""
+        """Return the object that a dotted path denotes, its name in NEW, and the remaining attributes of the path.
+
+        The object is None outside the repository.
+        """
         parts = dotted.split(".")
         for size in range(len(parts), 0, -1):
             module = self.modules.get(".".join(parts[:size]))
@@ -372,7 +375,9 @@ class _Walk:
             case ast.Constant(value=value):
                 self.put(f"{type(value).__name__} {value!r}")
             case ast.Import() | ast.ImportFrom():
-                raise AssertionError("imports are handled by blocks")
+                raise AssertionError(
+                    "an import statement reached the walk over nodes; the walk over blocks handles imports"
+                )
             case _:
                 self.generic(node)
 
@@ -455,7 +460,7 @@ def _is_text(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
-# Partners
+# Partners: definitions of OLD and NEW with equal tokens
 
 
 def partners(old: list[Definition], new: list[Definition]) -> dict[Definition, Definition]:
@@ -555,9 +560,9 @@ def _inside(
 
 
 def _pairs(one: Definition, other: Definition, moves: set[tuple[Module, Module]]) -> Iterator[tuple[Token, Token]]:
-    """Yield tokens of partners, side by side.
+    """Yield pairs of corresponding tokens of two matched definitions.
 
-    Modules imported by one block have no order: each is compared with the module that it moved to.
+    The imports of one block are unordered: each imported module is paired with the module that it moved to.
     """
     left = list(other.tokens)
     for at, a in enumerate(one.tokens):

@@ -1,4 +1,4 @@
-"""Verdict of a simulated run of Formation: robots must end on a regular polygon, in their order, which has turned.
+"""Verdict of a simulated run of Formation: robots must end in their order on the corners of a turned, regular polygon.
 
 `python formation_verdict.py DIR`, with the folder of the run. Positions are the true ones at the mission's end, in plan
 view, from DIR/summary.json. Each robot must be within 0.4 m of its corner of the polygon that fits them best, and that
@@ -21,7 +21,10 @@ class Unusable(Exception):
 
 
 def read(folder: Path) -> tuple[list[str], list[complex], str]:
-    """Return names, plan positions (m) at the mission's end, and the run's own reasons against it. Raises Unusable."""
+    """Return names, plan positions (m) at the mission's end, and the reason why the run failed ("" if it held).
+
+    Raises Unusable.
+    """
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         robots = summary["robots"]

@@ -32,7 +32,7 @@ class Unusable(Exception):
 class Run:
     """Result of a run: plan positions (m) by pid at its start and at the mission's end, and smallest separation (m).
 
-    The separation is in space. If the run cannot count, there is also the reason.
+    The separation is a distance in space. `flaw`: reason why the run cannot pass; "" if there is none.
     """
 
     names: list[str]

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-WITHIN, SHARE = 180.0, 0.95  # seconds; of the reachable free cells
+WITHIN = 180.0  # seconds
+SHARE = 0.95  # required share of the reachable free cells that are known
 UNKNOWN, FREE, OCCUPIED = 0b00, 0b01, 0b11
 
 Cell = tuple[int, int]
@@ -165,7 +166,7 @@ def known(map_: Map, cells: set[Cell]) -> float:
 
 
 def draw(run: Run, cells: set[Cell], file: str) -> None:
-    """Draw the first map, the map when half of the rest was known, and the last one. Raises OSError."""
+    """Draw the first map, the map halfway by the share of known cells, and the last map. Raises OSError."""
     from matplotlib.figure import Figure
 
     shares = [known(m, cells) for m in run.maps]

@@ -45,7 +45,7 @@ class NameChecks(Node):
     """Checks of names in the fleet file against the program. Each returns the reason why a name does not fit, or "".
 
     avoid: checks the name of a variable. markers: checks the name of a list, and of the field with the position of its
-    elements. own_class: checks a user's class that has these methods and is constructed with one argument.
+    elements. own_class: checks that a user's class has the given methods and a constructor with one argument.
     properties: names that `monitors` may have; None accepts every name.
     """
 

@@ -81,7 +81,7 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
 
 
 class Forwarder:
-    """Choice of the datagrams that are sent to each robot, without network or clock.
+    """Selector of the datagrams for each robot. It uses no socket and no clock.
 
     `session` must be greater than in any earlier run, because agents refuse datagrams of older sessions.
     """

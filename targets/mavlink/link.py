@@ -65,7 +65,7 @@ class Link:
         self._packer = mavlink.MAVLink(None, srcSystem=GROUND_STATION, srcComponent=COMPONENT)
         self._source: object = None
         self._greeted = -math.inf
-        self._other = -math.inf  # time of the last message of another autopilot that may be the robot's
+        self._other = -math.inf  # time of the last message of a second autopilot; either may be the robot's
         self.rival = -math.inf  # time of the last heartbeat of another ground station with the agent's system id
         self._asked: dict[int, SentCommand] = {}
         self._parts: tuple[int, int, str] = (0, 0, "")

@@ -36,7 +36,7 @@ class Question(msgspec.Struct, frozen=True, array_like=True):
     goal: Point
     scene: Scene
     seconds: float
-    more: bytes = b""  # further data for the judge of a target
+    more: bytes = b""  # additional data for a target's own judge
 
 
 class Answer(msgspec.Struct, frozen=True, array_like=True):

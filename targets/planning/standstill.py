@@ -62,7 +62,7 @@ class Standstill:
         return said
 
 
-# Failed calls of the program's planner. They are the reason for standing of a robot that has no other command.
+# Failed planner calls of the program. They explain why a robot without any other command stands still.
 
 FORGOTTEN = 5.0  # seconds after which a failed call of the planner no longer counts as the reason for standing
 

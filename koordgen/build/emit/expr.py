@@ -311,7 +311,7 @@ def _with(operand: ir.Expr, name: str, value: str, names: Names) -> str:
             whole = _within(operand, names, _ATOM)
             return display([value if i == int(name) else joined(whole, f"[{i}]") for i in range(len(items))])
         case other:
-            raise InternalError(f"a {other} with {name}")
+            raise InternalError(f"a value of type {other} has no field {name} to replace")
 
 
 def _argument(arg: ir.Expr, name: str, names: Names) -> str:

@@ -34,7 +34,7 @@ def snake(name: str) -> str:
 class Names:
     """Python names of one program. The first Koord name that needs a Python name gets it; later ones get a number."""
 
-    formulas = False  # True in `properties.py`, whose formulas are evaluated over a Known
+    formulas = False  # True in `properties.py`, whose formulas read their values from a `Known` object
     floats: Mapping[Place, int] = {}  # kinds of floats in the present block, see koordgen/build/emit/floats.py
     before = after = ""  # prefixes of a port's name; an assumption distinguishes the port before and after the step
 

@@ -60,7 +60,7 @@ def _possible(node: ir.Expr, robot: str, distinct: bool) -> _Possible:
 
 
 def _needs(node: Node, robot: str) -> bool:
-    """Return whether the value of `node` always needs a port or a local of that robot."""
+    """Return whether the evaluation of `node` always reads a port or a local variable of the robot named `robot`."""
     match node:
         case ir.LocalOf(_, ir.TempRead(at)) | ir.PortOf(_, _, ir.TempRead(at)) if at == robot:
             return True

@@ -89,7 +89,7 @@ def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], name
 
 
 def _value(node: ir.Expr, axes: dict[str, int], names: Names) -> str:
-    """Return the array expression of a number, Point or truth value that always has a value."""
+    """Return the array expression of a number, a Point or a bool whose evaluation cannot fail."""
     match node:
         case ir.Const(value) if node.type in (*_NUMBERS, BOOL):
             return exact.literal(value) if not isinstance(value, (int, float)) or value >= 0 else f"({value!r})"

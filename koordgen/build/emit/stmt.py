@@ -129,7 +129,7 @@ def _simple(statement: ir.Stmt, names: Names) -> str:
 
 
 def _changes(place: ir.Place, value: Expr) -> bool:
-    """Return whether a value is an operation whose left operand reads the place that the value is assigned to."""
+    """Return whether the assignment has the form `x = x op y`, so that it can be written as `x op= y`."""
     if not isinstance(value, Binary):
         return False
     match place, value.left:

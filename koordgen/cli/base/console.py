@@ -45,7 +45,7 @@ def print_document(options: Namespace, results: Mapping[str, object]) -> None:
 
 
 def show_rejected(rejected: Rejected, options: Namespace) -> None:
-    """Print the diagnostics of wrong files and, in text, the number of errors."""
+    """Print the diagnostics of rejected files; with `--format text` also the number of errors."""
     print_diagnostics(rejected.found, options)
     codes = [d.code for _, d in rejected.found if d.severity == "error"]
     if options.format == "text":

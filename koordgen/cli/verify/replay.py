@@ -52,7 +52,7 @@ def replay(options: Namespace) -> int:
     late = f", {counts.late} that took too long not compared" if counts.late else ""
     if counts.violated:
         where = f"{_count(counts.violated, 'event')}"
-        notify(f"note: a loop invariant was false in {where}, by the program: `koordgen audit` names it")
+        notify(f"note: the program violated a loop invariant in {where}; `koordgen audit` names the invariant")
     robots = 1 if trace.own else len(trace.robots)
     what = f"{_count(robots, 'robot')}, {_count(counts.rounds, 'round')}, {_count(counts.events, 'event')}{late}"
     if trace.cut:

@@ -1,4 +1,4 @@
-"""Verifier of expressions: the type of every node by its parts, and the sections that allow it."""
+"""Verifier of expressions: checks the type of each node against its parts, and that its section allows it."""
 
 from __future__ import annotations
 

@@ -51,9 +51,9 @@ class _Row(dict[str, Any]):
 
 
 class _After(dict[int, Any]):
-    """Cached state after a reduction to `made`, by the state below it on the stack.
+    """Cache: state below `made` on the stack -> the next state, and its action for the symbol `ahead`.
 
-    The value is the new state and its action for the next symbol `ahead`, after all rules that only pass the value on.
+    Rules that only pass a value on are already applied.
     """
 
     __slots__ = ("ahead", "made")

@@ -80,7 +80,7 @@ def decode(body: Mapping[str, Any]) -> CarSettings:
     numbers = (value for value in msgspec.structs.asdict(settings).values() if isinstance(value, float))
     if not all(map(math.isfinite, numbers)) or settings.steering_limit < 0.02:
         raise Unready(
-            f"the car's settings: the servo leaves {settings.steering_limit:.3f} rad of steering to one side",
+            f"the car's settings: the servo allows only {settings.steering_limit:.3f} rad of steering on one side",
             "correct steering_to_servo_gain and steering_to_servo_offset",
         )
     if settings.position == FROM_DRIVE and not settings.is_rover:

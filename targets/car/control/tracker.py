@@ -73,8 +73,8 @@ class TrackedPath:
     def reference(self, speed: float, yaw: float, clear: float = math.inf) -> list[BicycleState]:
         """Return the MPC's reference: the desired states after 1 to 20 steps.
 
-        The speed starts at `speed` (m/s, signed), grows as the limits allow, and falls so that the car stands before
-        `clear` metres from its present station (NaN counts as 0). Yaw is continuous with `yaw`, the car's yaw."""
+        The speed starts at `speed` (m/s, signed), grows as the limits allow, and falls so that the car stops less than
+        `clear` metres beyond its present station (NaN counts as 0). Yaw is continuous with `yaw`, the car's yaw."""
         station, halt = self.station, min(self.length, self.station + max(0.0, clear - SHORT))
         direction = self.segment.direction
         pace = max(0.0, direction * speed)

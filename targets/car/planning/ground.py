@@ -41,7 +41,7 @@ Kept = tuple[float, float, float, float, float, Shape]  # bounds (west, south, e
 
 
 class Things:
-    """Obstacles: shapes, each with the distance (m) to keep from it, found by place."""
+    """Obstacles with a spatial index. Each obstacle is a shape and the distance (m) to keep from it."""
 
     def __init__(self, kept: list[Kept], reach: float) -> None:
         """`reach`: distance (m) from the footprint's middle within which obstacles are checked."""

@@ -286,10 +286,10 @@ class Flight:
             self._doing = self._explained("taking off", mavlink.MAV_CMD_NAV_TAKEOFF, now)
 
     def _climb_limited(self, now: float) -> bool:
-        """Request the climb limit from ArduPilot. Return True if it accepted, or was asked ASKED times.
+        """Request ArduPilot to limit its climb speed. Return True once it accepted, or after ASKED requests.
 
         The limit holds for this take-off only. Without the limit, ArduPilot climbs at up to WP_SPD_UP (2.5 m/s by
-        default), as far as the height to climb allows."""
+        default), or slower if the climb is short."""
         asked = self._link.ask(now, mavlink.MAV_CMD_DO_CHANGE_SPEED, CLIMB_SPEED, self._climbing, -1.0, every=0.5)
         if asked.result == mavlink.MAV_RESULT_ACCEPTED:
             self._unlimited = ""

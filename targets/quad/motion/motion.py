@@ -73,7 +73,7 @@ class Motion:
         self._halt: tuple[Point, float] | None = None  # place of a halt, and time until which its setpoint is sent
         self.reached = True  # whether the goal is reached; True without a goal
         self.followed = False  # whether there is evidence that the autopilot follows the setpoints
-        self.settled = False  # whether the vehicle has stood at its standing reference once since steering began
+        self.settled = False  # True after the vehicle stood still at a standing reference, since steering began
         self.refused = 0  # number of commands refused because a point was not finite
 
     def command(self, points: tuple[Point, ...], now: float, passed: int | None = None) -> None:

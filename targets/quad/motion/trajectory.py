@@ -208,8 +208,10 @@ def _turned(
 
     The speed at its end is `fast`, or less if the limits of speed require it.
 
-    Return None if the distance is too short to stop at the goal, or if braking within the piece would leave the box.
+    Return None if the distance is too short to stop at the goal, or if braking within the piece would leave the
+    box of `limits`.
 
+    Let p, v be position and velocity at the start, a the acceleration limit, s and u speed and direction at the end.
     With T = |s u - v| / a, the piece ends at p + (v + s u) T / 2. So the unit vector u must point from c = p + v T / 2
     to the goal. Fixed-point iteration solves this for u. The first u points to the goal from the place where braking
     would end.

@@ -17,8 +17,8 @@ Of = Literal["invariant", "initially", "assume"]
 class JudgedProperty:
     """One property and its result so far.
 
-    `at`: time of its first violation or missing value. `left`: time when it became unknown because a robot left the
-    model. Times are of the run's clock."""
+    `at`: time of its first violation or missing value. `left`: time when the property became unknown,
+    because a robot left the model. Times are of the run's clock."""
 
     of: Of
     name: str

@@ -2,8 +2,8 @@
 
 The only module that imports pybullet, which has no types.
 
-A body outside the engine's control sleeps and touches nothing. PyBullet itself multiplies the friction of two surfaces.
-Its results repeat only in a fresh client."""
+Bodies that the engine does not control are asleep and have no contacts. PyBullet itself multiplies the friction of two
+surfaces. Results repeat exactly only in a new client."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def test_loop_invariants_are_told_by_what_robots_say_of_their_events(
     assert (broken["of"], broken["violated"], broken["first"]["robots"]) == ("loop invariant", 1, ["cleo"])
     assert kept["verdict"] == "held" and kept["rounds"] == broken["rounds"] > 1
     assert main(["replay", str(home / "cleo.jsonl"), "--program", str(home / "source/a.koord")]) == 0
-    assert "a loop invariant was false in 1 event" in capsys.readouterr().err
+    assert "the program violated a loop invariant in 1 event" in capsys.readouterr().err
     edit(home / "cleo.jsonl", lambda record: {**record, "violated": [line + 1]} if "violated" in record else record)
     assert main(["replay", str(home / "cleo.jsonl"), "--program", str(home / "source/a.koord")]) == 3
     said = capsys.readouterr().err

@@ -21,7 +21,7 @@ POSE_EVERY = 12  # steps, as in the trace
 
 
 class Feed(ABC):
-    """Companion that passes on records. It adds nothing to the trace."""
+    """Observer of a run that passes the trace records on. It adds nothing to the trace."""
 
     def __init__(self, header: Header) -> None:
         self._header = header

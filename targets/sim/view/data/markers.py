@@ -61,7 +61,7 @@ class Markers:
 
 
 def _path(header: Header) -> list[int]:
-    """Return the path to the position within an element of the list."""
+    """Return the indices that lead from an element of the list to its position; [] if the element is the position."""
     found = header.world.marker_list
     if found is None or not found.position:
         return []
