@@ -346,8 +346,9 @@ async def _open(host: Host, options: Options, tool: bytes) -> SshSession:
     return session
 
 
-# First program that runs on a host. Any Python version can run it, so it can report a Python that is too old. It
-# stores the host tool, which it reads from standard input unless the host has it already. Then it runs the tool in its process.
+# First program that runs on a host. Any Python version can run it, so it can report a Python that is too old. It stores
+# the host tool, which it reads from standard input unless the host has it already, and then runs the tool in the same
+# process.
 _BOOT = """
 import json, os, sys
 def say(**what):

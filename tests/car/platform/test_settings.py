@@ -34,7 +34,7 @@ def test_the_settings_are_those_of_the_manifest() -> None:
         ({"wheelbas": 0.3}, "wheelbas"),
         ({"wheelbase": "long"}, "wheelbase"),
         ({"steering_to_servo_gain": 0.0}, "steering_to_servo_gain is 0"),
-        ({"steering_to_servo_offset": 0.9, "steering_to_servo_gain": 8.0}, "servo leaves 0.012 rad"),
+        ({"steering_to_servo_offset": 0.9, "steering_to_servo_gain": 8.0}, "servo allows only 0.012 rad"),
         ({"speed_to_erpm_gain": 0.0}, "speed_to_erpm_gain is 0"),
     ],
 )
