@@ -193,7 +193,7 @@ class _EnvironmentFile:
     def _axes(self, node: YamlNode, what: str, ends: Any, step: float) -> list[list[Any]]:
         """Return a list of numbers for each axis of a grid, in ascending order.
 
-        Reports a mistake, and returns empty lists, if an axis has no number or the grid more than MAX_VALUES points."""
+        Returns empty lists and reports a mistake if an axis has no number or the grid has over MAX_VALUES points."""
         ends = list(ends)
         counts = [math.floor((hi - lo) / step + ROUNDING) + 1 for lo, hi in ends]
         if min(counts) < 1 or math.prod(counts) > MAX_VALUES:

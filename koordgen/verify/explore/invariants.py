@@ -117,7 +117,7 @@ class Invariants:
         return next(p for p, holds in zip(self.properties, self._holds, strict=True) if not self._true(holds))
 
     def _whole_hold(self, fleet: Packed) -> bool:
-        """Return whether all invariants hold that are not about single robots or pairs of robots."""
+        """Return whether the invariants hold that are not evaluated by `PairInvariants`."""
         taken = False
         for view, holds in self._whole:
             seen = view.of(fleet)

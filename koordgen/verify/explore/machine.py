@@ -32,9 +32,9 @@ from koordgen.verify.replay.functions import CannotCall, load, python_value, sem
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
-# function that answers a robot's call of a port: ("Module.port", arguments of the call) -> answer
+# function that answers calls of ports: ("Module.port", arguments of the call) -> answer
 Call = Callable[[str, tuple[Any, ...]], Any]
-# (pid, sensors of the robot, "Module.port", arguments of the call) -> all possible answers
+# function that returns all possible answers: (pid, the robot's sensors, "Module.port", arguments) -> answers
 Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
 
@@ -55,7 +55,7 @@ class RobotStep(NamedTuple):
     """One possible step of a robot: an event and its results, as indices into tables of `Machine`.
 
     `event`: index of the event in the program.
-    `own`: the robot's private state after the event.
+    `own`: the private state of the robot after the event.
     `slots`: the robot's slots after the event.
     `cells`: the event's writes to allwrite variables."""
 

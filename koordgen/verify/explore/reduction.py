@@ -47,7 +47,7 @@ class VariableRead(BaseException):
 
 
 class _ForeignRead(BaseException):
-    """Raised if an event reads a shared variable that other robots can write."""
+    """Raised if an event reads a variable that other robots can write, or another robot's slot."""
 
 
 class _Hidden(rt.Cell[Any]):
@@ -150,7 +150,7 @@ class StateReduction:
         self._alone = restricted(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
-        """Return the state in which each robot's private state is replaced by its representative."""
+        """Replace the private state of each robot in a fleet's state by its representative."""
         n_sys, seen = self.machine.n_sys, fleet[self.machine.n_sys :]
         return (*[self.own(pid, fleet[pid], seen) for pid in range(n_sys)], *seen)
 
@@ -176,7 +176,7 @@ class StateReduction:
         return self._alike.values[self._alike.number(key, own)]
 
     def _run_idle_events(self, pid: int, robot: PrivateState, seen: Packed) -> None:
-        """Run the idle events on all values that they can give their variables, from the robot's present values on."""
+        """Run the idle events on the present values of their variables, and on all values that they then write."""
         machine, code = self.machine, self.machine.code
         if robot.stopped:
             return
@@ -215,7 +215,7 @@ class StateReduction:
                 if not rt.enabled(event, self._alone(frame)):
                     continue
                 if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
-                    continue  # an event with priority prevents this event; the loop also checks the event with priority
+                    continue  # a higher event of the `priority:` block runs instead; the loop also checks that event
                 done = rt.run(code, event.effect, self._alone(frame))
             except (Exception, VariableRead, _ForeignRead):
                 return False

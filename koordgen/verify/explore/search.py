@@ -262,7 +262,7 @@ class Search:
         return fleet if self.apart else sorted_robots(fleet)
 
     def _starts(self) -> Iterator[tuple[Packed, Packed]]:
-        """Yield pairs of states: a state before `init`, and a state that is possible after `init`."""
+        """Yield pairs of start states: a state before `init`, and a state that is possible after `init`."""
         program, machine = self.machine.program, self.machine
         rules = [p for p in program.properties if p.kind == "initially"]
         for sensors in self.around.starts():
@@ -317,7 +317,7 @@ class Search:
     def _run_and_end(self, fleet: Packed) -> tuple[list[RunState], Packed]:
         """Return a run to a state at the end of a round, and the real state in which the run ends.
 
-        `fleet` represents this real state."""
+        A real state is a state of the run, not the representative `fleet` that stands for it in the search."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
@@ -364,7 +364,7 @@ class Search:
     def _false_in(self, found: DiscardedEvent, choice: RobotStep, event: str, at: Packed, number: int) -> RunState:
         """Return the state of the run after an event in which a loop invariant is false."""
         machine = self.machine
-        if found.event < 0:  # the state after `init` is one in which all robots have run `init`
+        if found.event < 0:  # look for the state after all robots have run `init`
             after_init = next(fleet for fleet in machine.after_init(at) if fleet[found.pid] == choice.own)
             return RunState(machine.state(after_init), event, None, 0)
         return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
@@ -380,7 +380,7 @@ class Search:
         raise InternalError("a compiled invariant is false, but all invariants are true by the executable semantics")
 
     def _discarded_in(self, fleet: Packed) -> FoundViolation:
-        """Return the violation by an event without a result, in the round that starts in the state `fleet`.
+        """Return the violation that an event without a result causes in the round from the state `fleet`.
 
         `fleet` can be a representative, so the round is explored again from the real state of a run."""
         run_states, at = self._run_and_end(fleet)
@@ -397,7 +397,7 @@ class Search:
         return self._discarded(discard, run_states, at, number)
 
     def _discarded(self, found: DiscardedEvent, run_states: list[RunState], at: Packed, number: int) -> FoundViolation:
-        """Return the violation by an event that was discarded or in which a loop invariant was false.
+        """Return the violation that a discarded event, or an event with a false loop invariant, causes.
 
         `at`: the state in which the event runs.
         `number`: the number of the round in which the event runs.

@@ -75,7 +75,7 @@ def _violation(found: FoundViolation, program: decl.Program) -> Iterator[str]:
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
     if found.name.startswith(LOOP):
         what = f"the loop invariant on {found.name} is violated"
-    fewer = "no run with fewer rounds violates it"
+    fewer = "no run with fewer rounds leads to a violation"
     if found.shortest is not None:
         fewer = f"the language allows it after {found.shortest}, in an order of events that agents never use"
     yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")

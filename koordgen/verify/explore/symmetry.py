@@ -110,7 +110,7 @@ def _name_of_self(item: expr.Expr) -> bool:
 
 
 def sorted_robots(fleet: Packed) -> Packed:
-    """Return the state with sorted robots. It represents all permutations of the robots of a state."""
+    """Return the given state with its robots sorted. The sorted state represents all permutations of the robots."""
     n_sys = len(fleet) // 2
     robots = sorted(zip(fleet[:n_sys], fleet[n_sys:-1], strict=True))
     return (*[own for own, _ in robots], *[slots for _, slots in robots], fleet[-1])
