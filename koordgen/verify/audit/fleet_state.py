@@ -143,7 +143,8 @@ class _Shared:
         self._store: dict[str, Any] = dict(self._writes.first())
         # copy of the shared variables of each robot; the copy of an allread variable is a dictionary by pid
         self._copies: list[dict[str, Any]] = [{} for _ in histories]
-        self._converted: dict[str, Any] = {}  # JSON values that were converted last; `_values` holds the result
+        # JSON values of the shared variables at the last conversion; `_values` holds the converted values
+        self._converted: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
         if first:  # earlier rounds are missing, so the values before the first recorded round are unknown
             for history in histories:

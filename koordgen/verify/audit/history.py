@@ -355,7 +355,7 @@ class _HistoryBuilder:
         self.doubt, self.came_back = "", False
 
     def own(self, life: ProcessLife, round_: int) -> bool:
-        """Return whether no earlier record is of the round `round_`.
+        """Return whether the history has no record of the round yet.
 
         Raises BadTrace if another file records this round."""
         before = self.whose.setdefault(round_, life.log.path)
@@ -427,7 +427,7 @@ def _views(histories: Sequence[RobotHistory]) -> None:
                 since.setdefault(history.pid, view["since"])
             elif history.pid in since:
                 history.away.append(
-                    Gap(since.pop(history.pid), view["since"], "the other robots had removed it from the fleet")
+                    Gap(since.pop(history.pid), view["since"], "the other robots had removed the robot from the fleet")
                 )
     for pid, first in since.items():
-        histories[pid].away.append(Gap(first, FOREVER, "the other robots had removed it from the fleet"))
+        histories[pid].away.append(Gap(first, FOREVER, "the other robots had removed the robot from the fleet"))

@@ -151,10 +151,10 @@ def _add_line(log: TraceFile, number: int, data: bytes) -> None:
         # a robot that was killed while it wrote a record writes the header of its next start into the same line
         again = data.rfind(HEADER)
         if again > 0 and _parsed(data[again:]) is not None:
-            _lose(log, number, pid, "is cut off where the robot restarted")
+            _lose(log, number, pid, "the record is cut off, because the robot restarted")
             _add_line(log, number, data[again:])
         elif len(data) >= LONGEST:
-            _lose(log, number, pid, f"is longer than {LONGEST >> 20} MB")
+            _lose(log, number, pid, f"the line is longer than {LONGEST >> 20} MB")
         elif not data.endswith(b"\n"):
             _lose(log, number, pid, "the trace is cut off here", cut=True)
         elif data.strip():

@@ -18,7 +18,7 @@ from koordgen.lang.semantics.values import Value
 from koordgen.verify.explore.machine import Answer, Machine, Packed, PrivateState
 from koordgen.verify.replay.functions import semantic_value
 
-# stands for one possible answer of a path planner: the straight path from the robot's position to the goal
+# marks the straight path from the robot's position to the goal as a possible answer of a path planner
 STRAIGHT: Final = "straight"
 
 
@@ -123,7 +123,7 @@ def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> 
 
 
 class EnvironmentSteps:
-    """Steps of the environment in the fleet of one `Machine`: the changes of sensor values at the end of a round."""
+    """Steps of the environment: the possible changes of all sensor values at the end of a round."""
 
     def __init__(self, machine: Machine, environment: Environment) -> None:
         self.machine = machine

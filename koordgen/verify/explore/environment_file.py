@@ -59,9 +59,10 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
 def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type], called: Sequence[str]) -> None:
     missing = [name for name in (*sensors, *called) if name not in found.domains and name not in found.answers]
     if missing:
-        kind = f"answers, one of {', '.join(ANSWERS)}" if missing[0] in called else "values, a finite number of them"
+        choice = f"answers, one of {', '.join(ANSWERS)}: name the answers"
+        kind = choice if missing[0] in called else "values, a finite number of them: list the values"
         others = f" (so do {', '.join(missing[1:])})" if missing[1:] else ""
-        raise MissingEnvironment(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
+        raise MissingEnvironment(f"{missing[0]} needs {kind} in a file for --env{others}")
     for name, answers in found.answers.items():
         if STRAIGHT in answers and not position_beside(program, name):
             raise MissingEnvironment(

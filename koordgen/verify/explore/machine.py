@@ -164,7 +164,8 @@ class Machine:
         self.params = initial(program, 1).params
         self.discards: list[DiscardedEvent] = []
         self.enabled: set[int] = set()
-        self.begin: type[rt.Transaction] = self.code.begin  # class of the transactions in which events run
+        # class of the object that holds the values of all variables while an event runs
+        self.begin: type[rt.Transaction] = self.code.begin
         place = {event.name: index for index, event in enumerate(program.events)}
         self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
         self._look: rt.Transaction | None = None
@@ -261,9 +262,10 @@ class Machine:
         return tuple(made)
 
     def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
-        """Use the given cell classes for some local variables whenever an event runs later.
+        """Use special cell classes for some local variables in all later runs of events.
 
-        A cell holds the value of one variable while an event runs. `cells`: name of the variable -> cell class."""
+        A cell is the object that holds the value of a variable while an event runs.
+        `cells`: name of the variable -> cell class."""
         self.begin = watching(self.code.begin, cells) if cells else self.code.begin
         self._look = None
 
@@ -395,7 +397,7 @@ class Machine:
 
 
 def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:
-    """Return a subclass of the transaction class `begin` that uses given cell classes for some local variables."""
+    """Return a subclass of the transaction class `begin` with special cell classes for some local variables."""
 
     class Watching(begin):  # type: ignore[misc,valid-type]
         def local(self, name: str) -> rt.Cell[Any]:

@@ -42,10 +42,10 @@ class EventPhase(NamedTuple):
 
 
 def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
-    """Return the phases of a round. They contain all events of the program except the events in `idle`.
+    """Group the events of a program, except the events in `idle`, into the phases of a round.
 
-    Events of different phases commute. `independence` is the partial-order reduction: without it, all events are in one
-    phase, in which every order is tried."""
+    Events of different phases commute. `independence`: whether the partial-order reduction is used. Without it, one
+    phase contains all events, and every order of the robots is tried."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
         return (_phase(program, events, True),) if events else ()
