@@ -87,9 +87,9 @@ def _judged(
             judge.run(progress)
     except OutOfTime:
         ended = (
-            f"ended by --seconds {seconds:g} after {reached} of {whole.last} rounds: the properties in later rounds "
+            f"ended by --seconds {seconds:g} after {reached} of {whole.last} rounds: "
+            "the properties in later rounds are not decided"
         )
-        ended += "are not decided"
     finally:
         line.end()
     return [*judge.results, *faults.loops(program, whole), *faults.contracts(program, whole)], ended

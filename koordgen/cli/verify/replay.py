@@ -69,7 +69,7 @@ def replay(options: Namespace) -> int:
     if ended:
         print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference found before")
         return INCONCLUSIVE
-    print(f"{path}: {what}: as the program means")
+    print(f"{path}: {what}: no differences from the program")
     return HOLDS
 
 

@@ -185,7 +185,9 @@ class RoundExplorer:
         return pending
 
     def ends_with_predecessors(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return every possible result of a round, with the last step before it; None for the state `fleet`."""
+        """Return all possible results of a round that starts in the state `fleet`, each with the last step before it.
+
+        None stands for no step: the result in which all robots skip."""
         if self.as_agents:
             return self._ends_of_agents(fleet)
         found: dict[Node, Predecessor | None] = {(0, fleet): None}
@@ -203,7 +205,7 @@ class RoundExplorer:
         return found
 
     def _ends_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the results of a round in the orders that agents execute, each with the last step before it.
+        """Return the results of a round for all orders that agents execute, each with the last step before the result.
 
         Agents first commit transactions, at most one for each lock, then run plain events by ascending pid. All events
         read the shared variables of the round's start. This is exact, because no transaction writes a variable that a
