@@ -278,7 +278,7 @@ def test_what_monitors_said_is_compared(tmp_path: Path) -> None:
         file.write(monitor("invariant", "Near", near, 9, "held"))
     (note,) = audited(home)[1]["notes"]
     assert note.startswith(f"bert reported in round 8 that invariant Near (line {near}) is violated")
-    assert "it held" in note
+    assert "the property held" in note
     edit(home / "alice.jsonl", lambda r: None if r["kind"] == "monitor" and r["outcome"] == "violated" else r)
     notes = audited(home)[1]["notes"]
     assert any(
