@@ -1,4 +1,4 @@
-"""`koordgen prove`: the attack on PROVED verdicts, and `--attack-from`, which repeats a successful attack."""
+"""`koordgen prove`: the attack on PROVED verdicts, and `--attack-from`, which repeats an attack."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def attack_from_file(options: Namespace) -> int:
 
 
 def _shown(program: Program, trial: Trial, replayed: ReplayedTrial) -> Iterator[str]:
-    """Yield lines of text: the state before the attack, each step with its changes, and the false conjunct."""
+    """Yield lines of text: the first state, each step with its changes, and the false conjunct."""
     from koordgen.verify.prove.report.model import failing_conjunct
     from koordgen.verify.prove.report.reach import RunState
     from koordgen.verify.prove.report.table import failed_lines, run_state_lines

@@ -102,7 +102,7 @@ def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
 
 
 def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, str]:
-    """Return the prover's verdicts about violated invariants, with the mission's params and any number of robots."""
+    """Return the prover's verdicts on violated invariants, for the mission's params and any fleet size."""
     from koordgen.verify.prove.report.verdict import Question, prove
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 

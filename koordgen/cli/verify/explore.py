@@ -149,7 +149,9 @@ def _further(bounds: ExplorationBounds, found: FoundViolation, progress: Explora
 
 
 def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, seconds: float | None) -> bool:
-    """Return whether agents can execute each round of the run to a violation, with the event without a result.
+    """Return whether agents can execute each round of the run to a violation.
+
+    The run includes the event without a result, if such an event is the violation.
 
     Also returns False if the check takes more than `seconds`."""
     run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)

@@ -86,7 +86,9 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
 def verdicts_by_robots(
     program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
 ) -> list[list[InvariantVerdict]]:
-    """Prove the invariants for each number of robots, in at most `seconds` seconds in total. Raises SolverMissing."""
+    """Prove the invariants for each number of robots, in at most `seconds` in total.
+
+    Raises SolverMissing."""
     from koordgen.cli.base.alarm import alarm
     from koordgen.lang.semantics.deadline import OutOfTime
     from koordgen.verify.prove.report.verdict import Question, prove
@@ -169,7 +171,7 @@ def files(
 
 
 def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[InvariantVerdict]]) -> str:
-    """Return the trace of a counterexample as text, preferably of a whole run; empty without counterexamples."""
+    """Return the trace of a counterexample, preferably of a whole run; empty without counterexamples."""
     from koordgen.lang.analyze.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
@@ -195,7 +197,7 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:
-    """Return the hash that bundles of the program have, and the path of the file with its extern functions."""
+    """Return the hash that the program's bundles have, and the path of its file of extern functions."""
     from pathlib import Path
 
     from koordgen.build.bundle.functions import functions_file

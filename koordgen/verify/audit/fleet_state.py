@@ -47,7 +47,7 @@ class FleetState:
             self._begin()
 
     def _begin(self) -> None:
-        """Set the values before `init`: initial values of variables, the first samples, and values of unset actuators.
+        """Set the values before `init`: initial values of variables, first samples, and unset actuators.
 
         A robot holds its position until the first command for some actuators, such as a target. The value of such an
         actuator is the position."""
@@ -82,7 +82,7 @@ class FleetState:
         self._sample(self.round + 1)
 
     def sampled(self, pid: int, round_: int) -> dict[str, Any]:
-        """Return a robot's sensor values at the start of a round; UNKNOWN if the robot takes no part in the round."""
+        """Return a robot's sensor values at the start of a round; UNKNOWN if it takes no part in the round."""
         history = self._histories[pid]
         recorded = self.record(pid, round_).get("sensors", {})
         if history.out_at(round_):
@@ -96,7 +96,7 @@ class FleetState:
         return history.rounds[round_].record if round_ in history.rounds else {}
 
     def calls(self, pid: int) -> Calls | None:
-        """Return a robot's calls of callable ports in the present round; None if an argument or answer is unknown."""
+        """Return a robot's port calls in the present round; None if an argument or answer is unknown."""
         recorded = self.record(pid, self.round).get("calls", [])
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in recorded])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
@@ -152,7 +152,7 @@ class _Shared:
                 self._see(history, first)
 
     def after(self, round_: int) -> dict[str, Any]:
-        """Return the values of the shared variables after a round. Must be called for all rounds in ascending order."""
+        """Return the values of the shared variables after a round. Call this for all rounds in order."""
         self._store = dict(self._writes.after(self._store, round_))
         for history in self._histories:
             if history.may_act(round_):

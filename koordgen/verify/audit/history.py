@@ -1,4 +1,4 @@
-"""History of each robot in one mission: the records of all rounds, and gaps in which the state is unknown."""
+"""History of each robot in one mission: the records of rounds, and gaps with unknown values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{
 
 
 class Gap(NamedTuple):
-    """Gap in a history: the rounds from `since` to the round before `until`. `why` is the cause of the gap."""
+    """Gap in a history: the rounds from `since` to the round before `until`, with the cause `why`."""
 
     since: int
     until: int
@@ -88,7 +88,7 @@ class RobotHistory:
 
     @property
     def last(self) -> int:
-        """Return the last round that the trace records; 0 if it records only `init`, -1 if it records no round."""
+        """Return the last recorded round; 0 if only `init` is recorded, -1 if nothing is recorded."""
         return max(self.rounds, default=0 if self.init is not None else -1)
 
     def may_act(self, round_: int) -> bool:
@@ -139,7 +139,7 @@ class FleetMission:
 
     @property
     def last(self) -> int:
-        """Return the last round to evaluate: the last round that a robot recorded while it took part in the mission."""
+        """Return the last round that a robot recorded while it took part in the mission."""
         return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.histories), default=0)
 
 
@@ -189,7 +189,7 @@ def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:
 
 
 def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[TraceFile]]:
-    """Split trace files into files of the program version that a robot ran last, and files of earlier versions."""
+    """Split trace files into files of the version that a robot ran last, and files of earlier versions."""
     newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
     kept: list[TraceFile] = []
     old: list[TraceFile] = []
@@ -252,8 +252,9 @@ def _lives(log: TraceFile) -> Iterator[ProcessLife]:
 
 
 def _chosen(lives: Sequence[ProcessLife]) -> str:
-    """Return the id of the last mission in which the traces of all robots take part; empty if no trace names a mission.
+    """Return the id of the last mission that the traces of all robots name.
 
+    Returns an empty text if no trace names a mission.
     All files that one robot wrote in one folder count as one trace. Raises BadTrace if there is no common mission."""
     # files of one robot in one folder -> (id of a mission -> the last file that names the mission)
     named: dict[tuple[Path, int], dict[str, Path]] = {}
@@ -272,7 +273,7 @@ def _chosen(lives: Sequence[ProcessLife]) -> str:
 
 
 def _build_rounds(history: RobotHistory) -> None:
-    """Build the history of a robot from its process runs. Raises BadTrace if two files record the same round."""
+    """Build the history of a robot from its process runs. Raises BadTrace if two files record one round."""
     history.lives.sort(key=_order)
     builder = _HistoryBuilder(history)
     for life in history.lives:

@@ -158,7 +158,7 @@ class PropertyJudge:
         return not (history.out_at(round_) or history.out_at(round_ + 1))
 
     def _missing(self, came: _Evaluation, observation: Observation) -> str:
-        """Return a text that names the unknown value and explains why the trace of its robot does not contain it.
+        """Return a text that names the unknown value and explains why its robot's trace lacks the value.
 
         An assumption reads an unprimed sensor at the round's start and a primed sensor at the round's end."""
         read = came.why.partition("[")[0]
@@ -185,7 +185,7 @@ class PropertyJudge:
         return AuditViolation(observation, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
 
     def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[ValueRow]:
-        """Yield the values that a property reads: first the values of the robots `pids`, then allwrite variables."""
+        """Yield the values that a property reads: the values of the robots `pids`, then allwrite variables."""
         before, after, text = self._before, self._whole.values, self._meaning.text
         slots = {name for name in reads if isinstance(after.get(name), list)}
         for pid in pids:

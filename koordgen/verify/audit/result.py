@@ -116,7 +116,7 @@ class PropertyResult:
         self.spans.append(OutcomeSpan(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:
-        """Return the outcome of the property in a round; "unknown" if the property was not evaluated in the round."""
+        """Return the outcome of the property in a round; "unknown" if it was not evaluated in the round."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")
 
     def close(self, round_: int, outcomes: Sequence[tuple[Outcome, str]], of_each: bool) -> None:

@@ -39,7 +39,7 @@ class Audit:
 
     @property
     def doubtful(self) -> bool:
-        """Return whether the audit is incomplete: values are unknown, parts of traces are missing, or time ran out."""
+        """Return whether the audit is incomplete: unknown values, missing parts of traces, or a time limit."""
         return (
             self.ended
             or self.mission.cut

@@ -40,7 +40,9 @@ class SensorDomain(NamedTuple):
 
 
 class MissingEnvironment(Exception):
-    """Raised if the values or answers of a port are missing or unusable. The message names the port or its module."""
+    """Raised if values or answers of a port are missing or unusable.
+
+    The message names the port or its module."""
 
 
 class Environment(NamedTuple):
@@ -57,7 +59,7 @@ class Environment(NamedTuple):
     params: Mapping[str, Any] = {}
 
     def of(self, pid: int) -> Environment:
-        """Return the environment of robot `pid`: its entry in `robots`, or this common environment without an entry."""
+        """Return the environment of robot `pid`: its entry in `robots`, otherwise this environment."""
         return self.robots.get(pid, self)
 
 

@@ -110,7 +110,7 @@ class Invariants:
             setattr(self._fleet, names.shared[name], self._one[name])
 
     def broken(self, fleet: Packed) -> decl.Property | None:
-        """Return the first invariant that is false or has no value in a state of the fleet; None if all are true."""
+        """Return the first invariant that is false or has no value in a state; None if all are true."""
         if self._pairs.hold(fleet) and self._whole_hold(fleet):
             return None
         self._load(fleet)

@@ -397,7 +397,7 @@ class Machine:
 
 
 def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:
-    """Return a subclass of the transaction class `begin` with special cell classes for some local variables."""
+    """Return a subclass of `begin` that uses special cell classes for some local variables."""
 
     class Watching(begin):  # type: ignore[misc,valid-type]
         def local(self, name: str) -> rt.Cell[Any]:

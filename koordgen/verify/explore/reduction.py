@@ -1,4 +1,4 @@
-"""Reduction of private states: merges private states of a robot whose differences affect no later step.
+"""Reduction of private states: merges private states whose differences affect no later step.
 
 First reduction: unread local variables are removed from states.
 
@@ -92,7 +92,7 @@ def unread_cell(name: str) -> type[rt.Cell[Any]]:
 
 
 def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
-    """Return a subclass of the transaction class `begin` in which events read only their own robot's variables.
+    """Return a subclass of `begin` in which an event can read only the variables of its own robot.
 
     These are the robot's locals, actuators and own slots. Reads of other variables raise an exception.
     `sensors`: names of the attributes with sensor values, which the subclass removes."""
@@ -176,7 +176,7 @@ class StateReduction:
         return self._alike.values[self._alike.number(key, own)]
 
     def _run_idle_events(self, pid: int, robot: PrivateState, seen: Packed) -> None:
-        """Run the idle events on the present values of their variables, and on all values that they then write."""
+        """Run the idle events on the present values of their variables, and on all values that they write."""
         machine, code = self.machine, self.machine.code
         if robot.stopped:
             return
@@ -204,7 +204,7 @@ class StateReduction:
                         pending.append(done.locals[name])
 
     def _finished(self, pid: int, robot: PrivateState, seen: Packed) -> bool:
-        """Return whether a robot can do nothing but stop, now and in all later rounds, whatever other robots do."""
+        """Return whether a robot can do nothing but stop, now and later, whatever other robots do."""
         machine, code = self.machine, self.machine.code
         frame = machine.frame(pid, robot, seen)
         stopping = []
@@ -229,7 +229,7 @@ class StateReduction:
 
 
 def _only_variable(event: decl.Event) -> str | None:
-    """Return the name of the one local variable that an event uses; None for an event that uses anything more.
+    """Return the name of the one local variable that an event uses; None if the event uses more.
 
     Also returns None for an atomic event and for an event in a `priority:` block."""
     names, parts = set(), (event.guard, event.effect)

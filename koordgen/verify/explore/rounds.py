@@ -1,4 +1,4 @@
-"""Possible results of one round: the states of the fleet after every order of events that can make a difference.
+"""Results of one round: the states of the fleet after every order of events that can matter.
 
 Partial-order reduction: orders of events that surely lead to the same state are tried only once. Two events of two
 robots conflict in two cases: both write the same allwrite variable, or one event is atomic and reads a variable that
@@ -90,7 +90,7 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
 
 
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
-    """Return two sets of shared variables: the variables that an event reads when it runs, and those it may write.
+    """Return the shared variables that an event reads when it runs, and the variables that it may write.
 
     A plain event reads all variables as of the start of the round, so the first set of a plain event is empty."""
     reads, writes = set(), set()
@@ -185,7 +185,7 @@ class RoundExplorer:
         return pending
 
     def ends_with_predecessors(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return all possible results of a round that starts in the state `fleet`, each with the last step before it.
+        """Return all possible results of a round from the state `fleet`, each with the step that led to it.
 
         None stands for no step: the result in which all robots skip."""
         if self.as_agents:
@@ -205,7 +205,7 @@ class RoundExplorer:
         return found
 
     def _ends_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the results of a round for all orders that agents execute, each with the last step before the result.
+        """Return the results of a round for all orders that agents execute, with the last step of each.
 
         Agents first commit transactions, at most one for each lock, then run plain events by ascending pid. All events
         read the shared variables of the round's start. This is exact, because no transaction writes a variable that a

@@ -163,7 +163,7 @@ class Search:
         return ExplorationResult(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
 
     def _settled(self) -> tuple[FoundViolation | None, str]:
-        """Run the search, and repeat it with fewer reductions whenever a reduction turns out to be inapplicable."""
+        """Run the search, and repeat it with fewer reductions whenever a reduction does not apply."""
         while True:
             try:
                 return self._explored()
@@ -239,7 +239,7 @@ class Search:
         return None
 
     def alike(self, fleet: Packed) -> Packed:
-        """Return the state that represents the state `fleet` under symmetry and the reduction of private states."""
+        """Return the representative of the state `fleet`, by symmetry and the reduction of private states."""
         return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
 
     def _moved(self, end: Packed) -> Iterator[Packed]:

@@ -136,7 +136,9 @@ def trace(found: FoundViolation, program: decl.Program, about: RunOrigin) -> str
 
 
 def itf(found: FoundViolation, program: decl.Program) -> str:
-    """Return the run to a violation in Apalache's Informal Trace Format (ADR-015), for viewers of TLA+ traces."""
+    """Return the run to a violation in Apalache's Informal Trace Format (ADR-015).
+
+    Viewers of TLA+ traces read this format."""
     robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]
     names = [*own(found.run_states[0].state, 0), "stopped"]

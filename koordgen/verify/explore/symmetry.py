@@ -1,4 +1,4 @@
-"""Symmetry reduction: decides whether a program treats all robots alike, and sorts the robots of a state.
+"""Symmetry reduction: decides whether a program treats all robots alike, and sorts robots.
 
 A program is symmetric if nothing in the program distinguishes one pid from another. Three conditions ensure this:
 
@@ -30,7 +30,7 @@ _SAFE = frozenset(("Point", "Rect", "Ball", "distance", "abs", "len", "count"))
 
 
 def asymmetry(program: decl.Program) -> str:
-    """Return the place of the first construct of a program that distinguishes robots, as text with the line.
+    """Return the place of the first construct in a program that distinguishes robots, as text.
 
     The text is empty if the program is symmetric."""
     parts = [(p.formula, "a property") for p in program.properties if p.kind != "axiom"]
@@ -110,7 +110,7 @@ def _name_of_self(item: expr.Expr) -> bool:
 
 
 def sorted_robots(fleet: Packed) -> Packed:
-    """Return the given state with its robots sorted. The sorted state represents all permutations of the robots."""
+    """Return a state with its robots sorted. The result represents all permutations of the robots."""
     n_sys = len(fleet) // 2
     robots = sorted(zip(fleet[:n_sys], fleet[n_sys:-1], strict=True))
     return (*[own for own, _ in robots], *[slots for _, slots in robots], fleet[-1])
