@@ -205,7 +205,7 @@ class RoundExplorer:
         return found
 
     def _ends_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the results of a round for all orders that agents execute, with the last step of each.
+        """Return the results of a round for all orders that agents execute, with the last step of each result.
 
         Agents first commit transactions, at most one for each lock, then run plain events by ascending pid. All events
         read the shared variables of the round's start. This is exact, because no transaction writes a variable that a

@@ -134,7 +134,8 @@ class Search:
         self.known: dict[Packed, Packed | None] = {}
         # explored states within a round: after all events, before the environment's step
         self.within: set[Packed] = set()
-        self.begin: dict[Packed, Packed] = {}  # state after `init` -> the state before `init`
+        # State after `init` -> state before `init`.
+        self.begin: dict[Packed, Packed] = {}
         # (pid, private state, own slots) -> representatives of the possible private states after the environment's step
         self._then: dict[Packed, tuple[int, ...]] = {}
         # states in which no event is enabled now, but some event can become enabled later
