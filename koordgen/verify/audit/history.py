@@ -204,9 +204,8 @@ def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
     The mission is taken from a later part of the same process run. A process run that ended before its first round, and
     before it joined a mission, is left out if another process run follows in the same files."""
     joined: list[ProcessLife] = []
-    later: dict[
-        tuple[Path, int, int], ProcessLife
-    ] = {}  # files of a robot -> the process run that follows in these files
+    # files of a robot -> the process run that follows in these files
+    later: dict[tuple[Path, int, int], ProcessLife] = {}
     for life in reversed(lives):
         follower = later.get((*life.log.family, life.pid))
         if follower is not None and follower.continues and not life.mission:
