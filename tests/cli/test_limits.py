@@ -116,7 +116,7 @@ def test_explore_ends_when_its_time_is_over_in_the_middle_of_what_takes_long(
 ) -> None:
     done = ran(tmp_path, text, "explore", "--robots", robots, "--seconds", "1")
     assert done.returncode == 4, done.stdout + done.stderr
-    assert "the bound of 1 s" in done.stdout
+    assert "the time limit of 1 s" in done.stdout
 
 
 @pytest.mark.parametrize("name", BAD)

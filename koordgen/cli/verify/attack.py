@@ -1,4 +1,4 @@
-"""`koordgen prove`: the attack on verdicts, and `--attack-from`, which repeats one."""
+"""`koordgen prove`: the attack on PROVED verdicts, and `--attack-from`, which repeats an attack."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-LEAST = 0.001  # seconds at least for each number of robots
+LEAST = 0.001  # least seconds of attack for each number of robots
 
 
 def attack_verdicts(
@@ -27,10 +27,10 @@ def attack_verdicts(
     solver: Solver | CrossCheck,
     options: Namespace,
 ) -> list[Attacks]:
-    """Attack the verdicts for each number of robots, for `--attack` seconds in all.
+    """Attack the PROVED verdicts for each number of robots, for about `--attack` seconds in total.
 
-    Return the numbers of states by obligation. A contradicted verdict becomes UNSOUND in `found`, and its state is
-    written to a file."""
+    Return the number of attacked states for each obligation. If a state contradicts a verdict, the verdict becomes
+    UNSOUND in `found`, and the state is written to a file."""
     left, made = options.attack, []
     for place, verdicts in enumerate(found):
         share = max(left / (len(found) - place), LEAST) if options.attack else 0.0
@@ -50,7 +50,9 @@ def _attack_one(
     solver: Solver | CrossCheck,
     seconds: float,
 ) -> tuple[Attacks, Contradiction | None, float]:
-    """Attack the verdicts for one number of robots. Return also the seconds that this took."""
+    """Attack the PROVED verdicts for one number of robots.
+
+    Return the numbers of attacked states, a contradiction or None, and the seconds that the attack took."""
     from koordgen.verify.prove.report.show import AttackCount
 
     proved = [v.invariant for v in verdicts if v.verdict == "PROVED"]
@@ -72,7 +74,10 @@ def _attack_one(
 
 
 def _unsound(verdicts: list[InvariantVerdict], contradiction: Contradiction) -> list[InvariantVerdict]:
-    """Return the remaining verdicts. Those that rest on a contradicted one become UNKNOWN."""
+    """Return the verdicts after a contradiction.
+
+    The contradicted verdict becomes UNSOUND. Verdicts whose proofs rest on the contradicted invariant become UNKNOWN.
+    """
     name, why = contradiction.breach
     reason = f"the prover said PROVED, and the executable semantics contradicts it: {_where(contradiction)}, {why}"
     found = []
@@ -94,28 +99,28 @@ def _where(contradiction: Contradiction) -> str:
 
 
 def _report(program: Program, path: str, verdicts: list[InvariantVerdict], contradiction: Contradiction) -> None:
-    """Write the contradiction to a file, and ask the user to report it."""
+    """Write the contradiction of a verdict to a file, and ask the user to report the file."""
     from koordgen.build.emit.program import program_hash
     from koordgen.verify.attack.file import to_text
 
     name = f"{program.name}.unsound.json"
     proved = [v.invariant for v in verdicts if v.verdict == "PROVED"]
-    told = "this is a mistake of koordgen, not of your program"
+    blamed = "this is a mistake of koordgen, not of your program"
     try:
         with open(name, "w", encoding="utf-8") as file:
             file.write(to_text(contradiction, proved, program_hash(program), program.path))
     except OSError as error:
-        notify(f"error: {name}: {error.strerror or error}\n  help: {told}: please report {path}, with this command")
+        notify(f"error: {name}: {error.strerror or error}\n  help: {blamed}: please report {path} with this command")
         return
     notify(
-        f"error: the verdict about {contradiction.breach.invariant} is UNSOUND: {told}\n"
+        f"error: the verdict about {contradiction.breach.invariant} is UNSOUND: {blamed}\n"
         f"  help: please report {name} together with {path};"
         f" `koordgen prove {path} --attack-from {name}` runs the state again"
     )
 
 
 def attack_from_file(options: Namespace) -> int:
-    """`--attack-from`: run the state in a file again, and show the steps."""
+    """Run `--attack-from`: repeat the attack that a file describes, and print the steps of the program."""
     from koordgen.build.emit.program import program_hash
     from koordgen.build.pipeline import check_file
     from koordgen.lang.semantics.exact import exact
@@ -128,7 +133,7 @@ def attack_from_file(options: Namespace) -> int:
         with open(name, "rb") as file:
             data = file.read(MOST_BYTES + 1)
     except OSError as error:
-        raise Failure(WRONG, f"{name}: {error.strerror or error}", "name a file that exists") from None
+        raise Failure(WRONG, f"{name}: {error.strerror or error}", "give --attack-from a file that exists") from None
     model = exact(program)
     try:
         given = read_trial(data, model, program_hash(program))
@@ -137,10 +142,12 @@ def attack_from_file(options: Namespace) -> int:
     except BadFile as error:
         raise Failure(WRONG, f"{name}: {error}", error.help) from None
     except TrialNotCovered as error:
-        raise Failure(WRONG, f"{name} shows nothing: {error}", "no verdict covers such a state or step") from None
+        raise Failure(
+            WRONG, f"{name} shows nothing: {error}", "no verdict of `koordgen prove` covers this state or step"
+        ) from None
     except UnusableStep as error:
         raise Failure(
-            INCONCLUSIVE, f"{name} cannot be run: {error}", "report the file together with its program"
+            INCONCLUSIVE, f"{name} cannot be run: {error}", "please report the file together with the program"
         ) from None
     print("\n".join(_shown(model, given.trial, replayed)))
     found = replayed.contradiction
@@ -152,7 +159,7 @@ def attack_from_file(options: Namespace) -> int:
 
 
 def _shown(program: Program, trial: Trial, replayed: ReplayedTrial) -> Iterator[str]:
-    """Yield the state, the steps with their changes, and the conjunct of the invariant that is false."""
+    """Yield lines of text: the first state, each step with its changes, and the false conjunct."""
     from koordgen.verify.prove.report.model import failing_conjunct
     from koordgen.verify.prove.report.reach import RunState
     from koordgen.verify.prove.report.table import failed_lines, run_state_lines

@@ -25,13 +25,13 @@ from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 from koordgen.verify.replay.functions import CannotCall
 
 PICTURES = (".png", ".svg", ".pdf")
-QUERY, ALL_QUERIES = 10.0, 60.0  # seconds for one query of the solver, and for all
+QUERY, ALL_QUERIES = 10.0, 60.0  # seconds for one query of the solver, and for all queries
 
 
 def audit(options: Namespace) -> int:
-    """Run the command. Return its exit status."""
+    """Run `koordgen audit`, and return the exit status."""
     if options.plot and Path(options.plot).suffix not in PICTURES:
-        raise Failure(USAGE, f"--plot {options.plot}: a name that ends in {', '.join(PICTURES)} is expected")
+        raise Failure(USAGE, f"--plot {options.plot}: the name of the picture must end in {', '.join(PICTURES)}")
     try:
         paths = list(dict.fromkeys(path for given in options.traces for path in trace_files(Path(given))))
         logs = [read_trace_file(path) for path in paths]
@@ -39,12 +39,14 @@ def audit(options: Namespace) -> int:
         program, functions = program_of(options, whole.log.path, whole.log.program_hash)
         judged, ended = _judged(program, functions, whole, options.seconds)
     except BadTrace as error:
-        raise Failure(WRONG, str(error), "traces of one mission of one fleet are expected") from None
+        raise Failure(WRONG, str(error), "give traces of one mission of one fleet") from None
     except CannotCall as error:
-        raise Failure(WRONG, str(error), "name it with --functions") from None
+        raise Failure(WRONG, str(error), "name the file of the extern functions with --functions") from None
     except RecursionError:
         raise Failure(
-            WRONG, "values in these traces are nested too deeply", "robots of koordgen never write such traces"
+            WRONG,
+            "values in these traces are nested too deeply",
+            "use traces that robots wrote; they never nest values so deeply",
         ) from None
     blames = [] if ended else blame.blames(program, judged)
     proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
@@ -64,9 +66,9 @@ def audit(options: Namespace) -> int:
 def _judged(
     program: Program, functions: Path | None, whole: FleetMission, seconds: float | None
 ) -> tuple[list[PropertyResult], str]:
-    """Return the results, and why they do not cover the whole mission; empty if they do.
+    """Return the results of all properties, and the reason why the audit ended early; empty if it did not.
 
-    Of the last round that was begun only a violation is counted."""
+    `seconds`: time limit. If the time runs out within a round, this round counts only as the round of a violation."""
     line, judge, reached, ended = (
         ProgressLine(sys.stderr),
         PropertyJudge(GeneratedProperties(program, functions), whole),
@@ -85,9 +87,9 @@ def _judged(
             judge.run(progress)
     except OutOfTime:
         ended = (
-            f"ended by --seconds {seconds:g} after {reached} of {whole.last} rounds: the properties in later rounds "
+            f"ended by --seconds {seconds:g} after {reached} of {whole.last} rounds: "
+            "the properties in later rounds are not decided"
         )
-        ended += "are not decided"
     finally:
         line.end()
     return [*judge.results, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
@@ -100,7 +102,7 @@ def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
 
 
 def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, str]:
-    """Return the prover's verdicts on the program with the params of the flight, for any number of robots."""
+    """Return the prover's verdicts on violated invariants, for the mission's params and any fleet size."""
     from koordgen.verify.prove.report.verdict import Question, prove
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 

@@ -49,12 +49,12 @@ from koordgen.verify.explore.show import document, itf, progress_text, report, t
 from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.replay.functions import CannotCall, externs
 
-ROBOTS = 3  # default, if neither --robots nor a fleet file names a number
-MORE = 10_000  # least limit of states in the search for a run that agents can execute
+ROBOTS = 3  # number of robots if neither --robots nor a fleet file names a number
+MORE = 10_000  # smallest limit of states in the second search, which looks for a run that agents can execute
 
 
 def explore(options: Namespace) -> int:
-    """Run the command. Return its exit status."""
+    """Run `koordgen explore`, and return the exit status."""
     checked = check_file(options.program)
     if options.format == "text":
         print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
@@ -67,13 +67,14 @@ def explore(options: Namespace) -> int:
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except MissingEnvironment as error:
-        raise Failure(USAGE, str(error), "`koordgen docs explore` explains such a file") from None
+        raise Failure(USAGE, str(error), "`koordgen docs explore` explains the file for --env") from None
     if options.format == "json":
         print(json.dumps(document(result, program, robots), indent=2), flush=True)
     else:
         sys.stdout.write(coloured_verdicts(report(result, program, options.program, robots), sys.stdout))
         sys.stdout.flush()
-    if result.violation is not None:  # the result is printed first: a failed write loses nothing of a long search
+    # the result is already printed, so a failed write of a file does not lose the result of a long search
+    if result.violation is not None:
         if options.trace:
             about = _origin(options, program, robots, around, given)
             save(options.trace, trace(result.violation, program, about))
@@ -83,7 +84,7 @@ def explore(options: Namespace) -> int:
 
 
 def _origin(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> RunOrigin:
-    """Return the origin of a run that was found."""
+    """Return the origin of a found run: program hash, params, and answers of ports and extern functions."""
     hashed, functions = hash_of(program, options.program, options.functions)
     return RunOrigin(hashed, tuple(given), possible_answers(around, program, robots), externs(program, functions))
 
@@ -131,16 +132,16 @@ def _search(
         more = rounds < again.run_states[-1].round
         return result._replace(violation=again._replace(shortest=rounds if more else None))
     except CannotCall as error:
-        raise Failure(WRONG, str(error), "name it with --functions") from None
+        raise Failure(WRONG, str(error), "name the file of the extern functions with --functions") from None
     finally:
         line.end()
 
 
 def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
-    """Return the bounds of the search for a run that agents can execute.
+    """Return the limits of the second search, which looks for a run that agents can execute.
 
-    One round of the language may take one agents' round for each robot, since agents commit one transaction per lock in
-    a round."""
+    Agents may need as many rounds as there are robots for one round of the language, since agents commit only one
+    transaction for each lock in a round."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
     rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
@@ -148,9 +149,11 @@ def _further(bounds: ExplorationBounds, found: FoundViolation, progress: Explora
 
 
 def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, seconds: float | None) -> bool:
-    """Return whether agents can execute each round of a run, including an event without a result.
+    """Return whether agents can execute each round of the run to a violation.
 
-    False if that takes more than `seconds` to find out."""
+    The run includes the event without a result, if such an event is the violation.
+
+    Also returns False if the check takes more than `seconds`."""
     run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)
     try:
         with alarm(seconds):
@@ -160,7 +163,7 @@ def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, second
 
 
 def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]]:
-    """Return the number of robots, and the params in a fleet file."""
+    """Return the number of robots from the options or the fleet file, and the params in the fleet file."""
     if options.fleet is None:
         return options.robots or ROBOTS, {}
     targets = {name: manifest.load(name) for name in manifest.available()}

@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-ALL_QUERIES = 60.0  # least number of seconds for all queries
+ALL_QUERIES = 60.0  # least time limit of the command in seconds
 
 
 def run(options: Namespace) -> int:
-    """Run the command. Return its exit status."""
+    """Run `koordgen prove`, and return the exit status."""
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
     if options.attack_from is not None:
@@ -47,19 +47,19 @@ def run(options: Namespace) -> int:
     limits = Limits(query=options.timeout, total=_total(options))
     try:
         with solver_of(options.solver, limits) as solver:
-            solver.start()  # it loads while the compiler is imported and the program checked
+            solver.start()  # the solver loads while this process imports the compiler and checks the program
             return prove_program(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
 
 
 def _total(options: Namespace) -> float:
-    """Return the seconds for the whole command: all queries and their preparation."""
+    """Return the time limit of the command in seconds, for all queries and their preparation."""
     return max(ALL_QUERIES, 10 * float(options.timeout))
 
 
 def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
-    """Check the program, prove it, and print or write what the options name. Raises SolverMissing."""
+    """Check a program, prove its invariants, and print or write the results. Raises SolverMissing."""
     from koordgen.build.pipeline import check_file, fleet_params
     from koordgen.cli.verify.attack import attack_verdicts
 
@@ -70,7 +70,7 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
     question = fixed_params(checked.program, given)
     found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
     attacks = attack_verdicts(checked.program, question, found, solver, options)
-    solver.stop()  # its memory is freed while this process prints
+    solver.stop()  # the operating system frees the solver's memory while this process prints
     print_verdicts(options, found, attacks)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
@@ -79,14 +79,16 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
         if made:
             save(options.trace, made)
         else:
-            notify(f"note: there is no counterexample, so no trace was written to {options.trace}")
+            notify(f"note: no counterexample was found, so no trace was written to {options.trace}")
     return status(found)
 
 
 def verdicts_by_robots(
     program: Program, params: Mapping[str, Expr], robots: list[int | None], solver: Solver | CrossCheck, seconds: float
 ) -> list[list[InvariantVerdict]]:
-    """Return the verdicts for each number of robots, within `seconds` in all. Raises SolverMissing."""
+    """Prove the invariants for each number of robots, in at most `seconds` in total.
+
+    Raises SolverMissing."""
     from koordgen.cli.base.alarm import alarm
     from koordgen.lang.semantics.deadline import OutOfTime
     from koordgen.verify.prove.report.verdict import Question, prove
@@ -98,13 +100,13 @@ def verdicts_by_robots(
             with alarm(max(0.0, until - time.monotonic())):
                 found.append(prove(Question(program, n, params), solver))
         except OutOfTime:
-            reason = f"the {seconds:g} s of the command are used up; try a longer --timeout"
+            reason = f"the time limit of {seconds:g} s for the whole command is over; try a longer --timeout"
             found.append(undecided(program, n, reason))
     return found
 
 
 def undecided(program: Program, robots: int | None, reason: str) -> list[InvariantVerdict]:
-    """Return UNKNOWN for every invariant, because the whole proof was given up."""
+    """Return the verdict UNKNOWN for every invariant, because the proof of the program was given up."""
     from koordgen.verify.prove.report.verdict import InvariantVerdict
 
     names = [p.name for p in program.properties if p.kind == "invariant"]
@@ -112,7 +114,7 @@ def undecided(program: Program, robots: int | None, reason: str) -> list[Invaria
 
 
 def fixed_params(program: Program, given: Mapping[str, Value]) -> dict[str, Expr]:
-    """Return the params that have a value, as constants. The others are arbitrary. Raises Failure."""
+    """Return the given params as constants; a proof treats all other params as arbitrary. Raises Failure."""
     if not given:
         return {}
     from koordgen.lang.analyze.params import BadParam, with_params
@@ -124,7 +126,7 @@ def fixed_params(program: Program, given: Mapping[str, Value]) -> dict[str, Expr
 
 
 def status(found: list[list[InvariantVerdict]]) -> int:
-    """Return the exit status of the worst verdict: a violation is worse than an unknown result."""
+    """Return the exit status for the worst verdict. A violation is worse than an unknown result."""
     said = {verdict.verdict for verdicts in found for verdict in verdicts}
     if "UNSOUND" in said:
         return INTERNAL
@@ -153,9 +155,9 @@ def files(
     robots: list[int | None],
     found: list[list[InvariantVerdict]],
 ) -> dict[str, bytes]:
-    """Return the files of `--emit`, for all requested numbers of robots.
+    """Return the files that `--emit` writes, for all requested numbers of robots: name -> content.
 
-    Each obligation is as it was asked last, with the names of all cells."""
+    Each obligation has the form of its last query to the solver, with the names of all cells."""
     from koordgen.lang.node import replace
     from koordgen.verify.prove.obligations.generate import obligations
     from koordgen.verify.prove.smt.emit import folder
@@ -169,7 +171,7 @@ def files(
 
 
 def trace_of(program: Program, path: str, given: Mapping[str, Value], found: list[list[InvariantVerdict]]) -> str:
-    """Return the trace of a counterexample, preferably of one that is a run; empty if there is none."""
+    """Return the trace of a counterexample, preferably of a whole run; empty without counterexamples."""
     from koordgen.lang.analyze.params import BadParam, as_given, with_params
     from koordgen.verify.follow.exact import nearest
     from koordgen.verify.prove.report.model import plain_value
@@ -185,16 +187,17 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     values = {}
     try:
         for p in program.params:
-            near = from_trace(plain_value(state.params[p.name]), p.type, nearest)  # rounded to robots' floats
+            # numbers are rounded to the nearest float that robots can represent
+            near = from_trace(plain_value(state.params[p.name]), p.type, nearest)
             values[p.name] = as_given(plain(near), p.type)
         hashed, _ = hash_of(with_params(program, {**values, **given}), path, None)
-    except (BadParam, BadValue):  # numbers that no robot can represent
+    except (BadParam, BadValue):  # the counterexample contains numbers that no robot can represent
         hashed = ""
     return trace(program, first, RunOrigin(hashed, tuple(p.name for p in program.params)))
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:
-    """Return the hash of a program, equal to that of its bundles, and the file of its extern functions."""
+    """Return the hash that the program's bundles have, and the path of its file of extern functions."""
     from pathlib import Path
 
     from koordgen.build.bundle.functions import functions_file
@@ -205,7 +208,7 @@ def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Pa
 
 
 def emit(folder: str, files: dict[str, bytes]) -> None:
-    """Write the folder completely or not at all. Files that are not koordgen's are kept."""
+    """Write files to a folder, all or none of them. Files that koordgen did not write are kept."""
     from pathlib import Path
 
     from koordgen.build.bundle.write import SUMS, CannotWrite, sums, write
@@ -214,11 +217,11 @@ def emit(folder: str, files: dict[str, bytes]) -> None:
     try:
         write({place.name: {**files, SUMS: sums(files)}}, place.parent)
     except CannotWrite as error:
-        raise Failure(SURROUNDINGS, str(error), "choose another folder with --emit, or make room") from None
+        raise Failure(SURROUNDINGS, str(error), "give --emit another folder, or free space on the disk") from None
 
 
 def save(path: str, text: str) -> None:
-    """Write a file that the user named. Raises Failure."""
+    """Write a text to a file that the user named. Raises Failure if the file cannot be written."""
     try:
         with open(path, "w", encoding="utf-8") as file:
             file.write(text)

@@ -17,12 +17,12 @@ from koordgen.verify.replay.functions import CannotCall, externs
 from koordgen.verify.replay.robot import Counts, Difference, Unreplayable
 from koordgen.verify.replay.trace import TraceParts, open_trace
 
-MOST_TOLD = 20  # most differences that are printed
-LONGEST = 200  # longest value in characters
+MOST_PRINTED = 20  # largest number of differences that are printed
+LONGEST = 200  # longest text of a value that is printed, in characters
 
 
 def replay(options: Namespace) -> int:
-    """Run the command. Return its exit status."""
+    """Run `koordgen replay`, and return the exit status."""
     path = Path(options.trace)
     path = path / "trace.jsonl" if path.is_dir() else path
     counts, found, ended = Counts(), list[Difference](), False
@@ -38,18 +38,18 @@ def replay(options: Namespace) -> int:
         except OutOfTime:
             ended = True
     except BadTrace as error:
-        raise Failure(WRONG, str(error), "a trace of robots is expected: trace.jsonl") from None
+        raise Failure(WRONG, str(error), "give the trace of a robot or a run, such as trace.jsonl") from None
     except Unreplayable as error:
         raise Failure(
-            WRONG, f"{trace.place(error.number)}: {error.why}", "this trace does not contain enough to replay it"
+            WRONG, f"{trace.place(error.number)}: {error.why}", "the trace does not contain enough values to replay it"
         ) from None
     except CannotCall as error:
-        raise Failure(WRONG, str(error), "name it with --functions") from None
-    for difference in found[:MOST_TOLD]:
-        notify(_told(difference, trace))
-    if len(found) > MOST_TOLD:
-        notify(f"... and {len(found) - MOST_TOLD} more")
-    late = f", {counts.late} that took too long not compared" if counts.late else ""
+        raise Failure(WRONG, str(error), "name the file of the extern functions with --functions") from None
+    for difference in found[:MOST_PRINTED]:
+        notify(_difference_text(difference, trace))
+    if len(found) > MOST_PRINTED:
+        notify(f"... and {len(found) - MOST_PRINTED} more")
+    late = f", not compared: {counts.late} that took too long" if counts.late else ""
     if counts.violated:
         where = f"{_count(counts.violated, 'event')}"
         notify(f"note: the program violated a loop invariant in {where}; `koordgen audit` names the invariant")
@@ -65,9 +65,9 @@ def replay(options: Namespace) -> int:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED
     if ended:
-        print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference until then")
+        print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference found before")
         return INCONCLUSIVE
-    print(f"{path}: {what}: as the program means")
+    print(f"{path}: {what}: no differences from the program")
     return HOLDS
 
 
@@ -75,7 +75,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
 
 
-def _told(found: Difference, trace: TraceParts) -> str:
+def _difference_text(found: Difference, trace: TraceParts) -> str:
     name = trace.robots[found.pid]
     when = f"round {found.round}" if found.round else "init"
     return (

@@ -1,6 +1,4 @@
-"""Audit: evaluates a program's generated properties over the traces of a whole fleet.
-
-The properties are evaluated after every round.
+"""Audit: evaluates the properties of a program after every round, over the traces of a whole fleet.
 
 Owns: trace files of several robots, histories, clock checks, results of properties, broken assumptions, pictures.
 Offers: `judge`, `result`, `history`.

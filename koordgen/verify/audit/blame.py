@@ -1,6 +1,7 @@
-"""Blame: finds the assumptions of a proof that were broken no later than the invariant.
+"""Blame: finds the broken assumptions that can explain a violated invariant.
 
-No solver is called: an invariant's obligations contain all assumptions that a proof of the invariant would use.
+An assumption counts if it was broken no later than the invariant. No solver is called: the obligations of an invariant
+contain all assumptions that a proof of the invariant would use.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ _KINDS = {"port assumption": "assume", "initially": "initially", "contract": "co
 
 @dataclass(frozen=True, slots=True)
 class Blame:
-    """Assumptions behind a violated invariant.
+    """Assumptions of the proof of a violated invariant.
 
-    `rests`: all assumptions that a proof of the invariant uses.
-    `broke`: those of them that were broken no later than the invariant, the earliest first.
-    `unseen`: those of them that were not observed throughout the mission, so they may have been broken unnoticed."""
+    `rests`: all assumptions that the proof uses.
+    `broke`: the assumptions that were broken no later than the invariant, the earliest first.
+    `unseen`: the assumptions that may have been broken unnoticed, since the traces do not always show whether they
+        held."""
 
     invariant: PropertyResult
     rests: tuple[LedgerEntry, ...]
@@ -31,7 +33,7 @@ class Blame:
 
 
 def blames(program: decl.Program, results: Sequence[PropertyResult]) -> list[Blame]:
-    """Return the blame of each invariant that was violated or had no value in some round."""
+    """Return one Blame for each invariant that was violated or had no value in some round."""
     violated = [f for f in results if f.of == "invariant" and f.first is not None]
     if not violated:
         return []
@@ -40,8 +42,7 @@ def blames(program: decl.Program, results: Sequence[PropertyResult]) -> list[Bla
     found, ledger = [], Ledger(program)
     for invariant in violated:
         names = [invariant.name]
-        # the loop itself appends the invariants that the obligations assume, and those that their obligations assume in
-        # turn
+        # the loop body appends all invariants to `names` that the proof assumes, directly or indirectly
         for name in names:
             lines = {fact.line for o in shown if o.invariant == name for fact in o.facts}
             names += [other for other, span in spans.items() if other not in names and lines.intersection(span)]

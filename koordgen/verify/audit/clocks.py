@@ -1,17 +1,17 @@
-"""Clock check: compares robots' clocks with the times of their rounds."""
+"""Clock check: compares the clocks of robots with the times at which their rounds should begin."""
 
 from __future__ import annotations
 
 from koordgen.verify.audit.history import FleetMission
 
-SLACK = 0.05  # Seconds by which a round may be late or early, in addition to the error bound that each clock reports.
-DRIFT = 1e-3  # Allowed drift, in seconds per second: twice the drift between two clocks.
+SLACK = 0.05  # seconds by which a round may begin late or early, in addition to the error bound that a clock reports
+DRIFT = 1e-3  # allowed drift of a clock in seconds per second: twice the drift between two clocks
 
 
 def notes(mission: FleetMission) -> list[str]:
-    """Return notes about robots whose clocks disagree with their rounds.
+    """Return notes about robots whose clocks disagree with the times of their rounds.
 
-    The audit computes fleet time from the number of rounds. A robot's clock only decides when its rounds begin."""
+    The audit computes times from the numbers of rounds. A robot's clock only decides when the robot's rounds begin."""
     found = []
     delta = mission.delta
     for history in mission.histories:
@@ -32,11 +32,11 @@ def notes(mission: FleetMission) -> list[str]:
             if off > SLACK + 2 * bound:
                 found.append(
                     f"{history.name}'s clock and its rounds differ by {off:.2f} s in round {when}: "
-                    "the audit uses the time of rounds"
+                    "the audit uses the times of the rounds"
                 )
             if bound > delta / 2:
                 found.append(
                     f"{history.name} knew the fleet's time only to within {bound:.2f} s: "
-                    "its sensor samples may be from another round"
+                    "its sensor samples may belong to other rounds"
                 )
     return found

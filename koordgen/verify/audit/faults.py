@@ -1,6 +1,6 @@
 """Audit results for contracts of extern functions, for discarded events and for loop invariants.
 
-They come from the traces' records alone; no property is evaluated.
+The results come from checks that robots made and recorded in their traces. No formula is evaluated.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from koordgen.verify.audit.result import AFTER, AuditViolation, Observation, Out
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
-# koordgen/runtime/program/extern.py writes this text into records of discarded events
+# text in a record of a discarded event; koordgen/runtime/program/extern.py writes it
 _CONTRACT = re.compile(r"(?:precondition|postcondition|requires|ensures) \(line (\d{1,9})\)")
 
 
 def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
-    """Return a result for each line of a contract, and a last result for discarded events.
+    """Return a result for each line of a contract, and as the last one the result `well-defined`.
 
-    Every program has the last result: it says that no event was discarded for another cause in the program. The results
-    count events, since robots do not record single calls of extern functions."""
+    `well-defined` is violated if an event was discarded because of a fault of the program, except a broken contract.
+    The results count events, since robots do not record single calls of extern functions."""
     found = {
         formula.span.line: PropertyResult("contract", f"{extern.name} {word} {to_koord(formula)}", formula.span.line)
         for extern in program.externs
@@ -55,9 +55,9 @@ def contracts(program: decl.Program, mission: FleetMission) -> list[PropertyResu
 
 
 def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
-    """Return a result for each loop invariant.
+    """Return a result for each loop invariant of a program.
 
-    The results count all events and `init`s, including those that do not contain the loop."""
+    The results count all events and `init`s that ran, also events that do not contain the loop."""
     parts = (program.functions, program.init, program.events)
     invariants = {n.span.line: n for n in walk(parts) if isinstance(n, stmt.LoopInvariant)}
     found = {line: PropertyResult("loop invariant", f"line {line}", line) for line in sorted(invariants)}
@@ -83,7 +83,7 @@ def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
 
 
 def _miss(results: list[PropertyResult], mission: FleetMission) -> None:
-    """Add the rounds of each robot that no trace records to the unknown rounds of the results."""
+    """Count the rounds before the first recorded round as unknown in each result, once for each robot."""
     if mission.first:
         for result in results:
             result.miss(mission.first, len(mission.histories))
@@ -94,16 +94,16 @@ def _record(history: RobotHistory, round_: int) -> Mapping[str, Any]:
 
 
 def late(mission: FleetMission) -> int:
-    """Return the number of events that were discarded because they were not finished in time."""
+    """Return the number of events that were discarded because they finished after the publish deadline."""
     faults = [line.record.get("fault") for history in mission.histories for line in history.rounds.values()]
     return sum(fault is not None and fault["reason"] == OVERRAN for fault in faults)
 
 
 def _line(record: Mapping[str, Any], contracts: Mapping[int, PropertyResult]) -> int:
-    """Return the line of the contract that a record says was broken.
+    """Return the line of the broken contract that the record of a round names.
 
-    Returns 0 if an event was discarded for another cause in the program, and -1 if no event was discarded for such a
-    cause."""
+    Returns 0 if an event was discarded because of another fault of the program. Returns -1 if no event was discarded,
+    or if an event was discarded because it was too late."""
     fault = record.get("fault")
     if fault is None or fault["reason"] == OVERRAN:
         return -1

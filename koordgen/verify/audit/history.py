@@ -1,4 +1,4 @@
-"""History of each robot in one mission, round by round, with the gaps in which its state is unknown."""
+"""History of each robot in one mission: the records of rounds, and gaps with unknown values."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from koordgen.verify.audit.trace_files import LOST, TraceFile
 from koordgen.verify.replay.trace import TraceLine
 
 FOREVER = 1 << 60
-# Format of the phase record that an agent writes when its first round is scheduled.
+# detail text of the phase record that an agent writes when it schedules round 1
 _MISSION = re.compile(r"mission ([0-9a-f]{1,64}), round 1 at (-?\d{1,15}(?:\.\d{1,9})?) s of fleet time")
 
 
 class Gap(NamedTuple):
-    """Rounds of which a robot has no record: from `since` to the round before `until`. `why` is the cause."""
+    """Gap in a history: the rounds from `since` to the round before `until`, with the cause `why`."""
 
     since: int
     until: int
@@ -32,10 +32,12 @@ def _why(gaps: Sequence[Gap], round_: int) -> str | None:
 
 @dataclass
 class ProcessLife:
-    """Records of one process run: of the time from one start of a robot's process to its end.
+    """Records of one process run, from the start of a robot's agent process to its end.
 
-    The records are in the order of the trace. A process run whose trace has several parts has one object per part.
+    The records are in the order of the trace. If the trace of a process run has several parts, each part has a
+    ProcessLife of its own.
 
+    `log`: the trace file that contains the records.
     `mission`: id of the mission in which the process took part; empty if unknown."""
 
     log: TraceFile
@@ -46,14 +48,12 @@ class ProcessLife:
 
     @property
     def continues(self) -> bool:
-        """Return whether these records are a later part of a trace.
-
-        Then an earlier part contains the start of the process."""
+        """Return whether an earlier part of the trace contains the start of the process."""
         return bool(self.lines and self.lines[0].record.get("part"))
 
     @property
     def has_rounds(self) -> bool:
-        """Return whether the records contain a round."""
+        """Return whether the records contain at least one round."""
         return any(line.record["kind"] == "round" for line in self.lines)
 
 
@@ -64,12 +64,12 @@ class RobotHistory:
     `lives`: records of the robot's process runs; empty if there is no trace of the robot.
     `lacks`: whether parts of the trace are missing.
     `since`: the first round whose values are known; above 0 only if parts of the trace are missing.
-    `rounds`: round -> record.
-    `turns`: round -> values (`locals` and `actuators`) that the robot's own variables get at the start of this round;
-        None if they become unknown.
+    `rounds`: number of the round -> record of the round.
+    `turns`: number of a round -> the robot's locals and actuators at the start of this round, if they changed without a
+        recorded event; None if they became unknown.
     `acts`: rounds in which the robot may have written values without a record.
-    `out`: rounds in which the robot had stopped, so that it is outside of the model.
-    `away`: rounds in which the other robots had removed it from the fleet, so that it is outside of the model."""
+    `out`: rounds in which the robot had stopped, so that the audit ignores it.
+    `away`: rounds in which the robot was removed from the fleet by the other robots, so that the audit ignores it."""
 
     pid: int
     name: str
@@ -82,27 +82,28 @@ class RobotHistory:
     acts: list[Gap] = field(default_factory=list)
     out: list[Gap] = field(default_factory=list)
     away: list[Gap] = field(default_factory=list)
-    # rounds without a record because the process restarted or a line of the trace is broken
+    # rounds without a record, because the process restarted or a line of the trace cannot be read
     quiet: list[Gap] = field(default_factory=list)
     monitors: list[Mapping[str, Any]] = field(default_factory=list)
 
     @property
     def last(self) -> int:
-        """Return the last round with a record; 0 if only `init` is recorded, -1 if there is no record."""
+        """Return the last recorded round; 0 if only `init` is recorded, -1 if nothing is recorded."""
         return max(self.rounds, default=0 if self.init is not None else -1)
 
     def may_act(self, round_: int) -> bool:
-        """Return whether the robot may have written values in this round without a record.
+        """Return whether the robot may have written shared variables in a round without a record.
 
-        Returns False if the other robots had removed the robot by then, since they ignore its writes."""
+        Returns False for a round in which the robot was removed from the fleet, since other robots then ignore its
+        writes."""
         return _why(self.acts, round_) is not None and _why(self.away, round_) is None
 
     def out_at(self, round_: int) -> str:
-        """Return the reason why the robot is outside of the model in a round; empty if it is in the model."""
+        """Return the reason why the robot takes no part in a round, such as a stop; empty if it takes part."""
         return _why(self.out, round_) or _why(self.away, round_) or ""
 
     def silent(self, round_: int) -> str:
-        """Return a text that explains why the robot's values in a round are unknown."""
+        """Return a text for the user that explains why the robot's values in a round are unknown."""
         if not self.lives:
             return f"there is no trace of {self.name}"
         if self.out_at(round_):
@@ -115,10 +116,11 @@ class RobotHistory:
 
 @dataclass
 class FleetMission:
-    """One mission of a fleet, from all trace files.
+    """One mission of a fleet, read from the trace files of its robots.
 
-    `notes`: remarks about the traces that the user should know.
-    `cut`: whether a trace file ends within a record."""
+    `start`: fleet time at which round 1 began, in seconds; None if unknown.
+    `notes`: remarks for the user about missing, ignored or damaged traces.
+    `cut`: whether lines or parts of a trace are unreadable or missing."""
 
     name: str
     app: str
@@ -127,22 +129,22 @@ class FleetMission:
     histories: list[RobotHistory]
     notes: list[str]
     cut: bool
-    log: TraceFile  # one of the trace files; all of them belong to the same program
-    step: bool = False  # whether the run executed a counterexample of a single step
+    log: TraceFile  # one of the trace files; all files belong to the same program
+    step: bool = False  # whether the run replayed a counterexample of a single step
 
     @property
     def first(self) -> int:
-        """Return the first round that a trace records; 0 if everything from `init` on is recorded."""
+        """Return the first round that some trace records; 0 if a trace records `init`."""
         return min((history.since for history in self.histories if history.lives), default=0)
 
     @property
     def last(self) -> int:
-        """Return the last round to evaluate: the last one recorded by a robot that is in the model then."""
+        """Return the last round that a robot recorded while it took part in the mission."""
         return max((max((r for r in s.rounds if not s.out_at(r)), default=0) for s in self.histories), default=0)
 
 
 def mission(logs: Sequence[TraceFile]) -> FleetMission:
-    """Return the only mission that all trace files contain. Raises BadTrace."""
+    """Return the mission in which all given traces take part. Raises BadTrace if there is no such mission."""
     logs, old = _of_one_version(_by_age(logs))
     _same(logs)
     lives = _joined([life for log in logs for life in _lives(log)])
@@ -181,15 +183,13 @@ def mission(logs: Sequence[TraceFile]) -> FleetMission:
 
 
 def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:
-    """Return the trace files ordered by robot.
-
-    The files of one robot are ordered by age, the oldest first."""
+    """Return the trace files sorted by robot, and the files of one robot by age, the oldest file first."""
     order = {family: k for k, family in enumerate(dict.fromkeys(log.family for log in logs))}
     return sorted(logs, key=lambda log: (order[log.family], log.age))
 
 
 def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[TraceFile]]:
-    """Return the files of the program version that each robot ran last, and the files of earlier versions."""
+    """Split trace files into files of the version that a robot ran last, and files of earlier versions."""
     newest = {log.family: (log.program_hash, log.n_sys) for log in logs}
     kept: list[TraceFile] = []
     old: list[TraceFile] = []
@@ -199,12 +199,13 @@ def _of_one_version(logs: Sequence[TraceFile]) -> tuple[list[TraceFile], list[Tr
 
 
 def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
-    """Return the process runs, each with its mission.
+    """Set the mission of process runs whose records do not name a mission, and return all process runs.
 
-    A part of a trace without a mission gets the mission that a later part of the same process run names. Records of a
-    robot that restarted before its first round belong to no mission and are left out."""
+    The mission is taken from a later part of the same process run. A process run that ended before its first round, and
+    before it joined a mission, is left out if another process run follows in the same files."""
     joined: list[ProcessLife] = []
-    later: dict[tuple[Path, int, int], ProcessLife] = {}  # the process run that follows in the same files
+    # files of a robot -> the process run that follows in these files
+    later: dict[tuple[Path, int, int], ProcessLife] = {}
     for life in reversed(lives):
         follower = later.get((*life.log.family, life.pid))
         if follower is not None and follower.continues and not life.mission:
@@ -216,7 +217,7 @@ def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
 
 
 def _same(logs: Sequence[TraceFile]) -> None:
-    """Check that all files belong to the same program and fleet. Raises BadTrace if they do not."""
+    """Check that all trace files belong to one program and one fleet. Raises BadTrace otherwise."""
     first = logs[0]
     for log in logs[1:]:
         for what, mine, its in (
@@ -230,9 +231,9 @@ def _same(logs: Sequence[TraceFile]) -> None:
 
 
 def _lives(log: TraceFile) -> Iterator[ProcessLife]:
-    """Yield the records of each process run in a file, in the file's order.
+    """Yield the process runs in a trace file, in the order of the file.
 
-    The records of a process run may lack any round, `init`, or the mission."""
+    A process run may lack the records of some rounds, of `init`, or of the mission."""
     current: dict[int, ProcessLife] = {}
     for line in log.lines:
         record = line.record
@@ -252,11 +253,11 @@ def _lives(log: TraceFile) -> Iterator[ProcessLife]:
 
 
 def _chosen(lives: Sequence[ProcessLife]) -> str:
-    """Return the mission in which all robots' files take part.
+    """Return the id of the last mission that the traces of all robots name.
 
-    All files that one robot wrote in one folder are treated as one. Returns an empty text if no file names a mission.
-    Raises BadTrace if there is no common mission."""
-    # for each robot's files: mission -> the last file that names it
+    Returns an empty text if no trace names a mission.
+    All files that one robot wrote in one folder count as one trace. Raises BadTrace if there is no common mission."""
+    # files of one robot in one folder -> (id of a mission -> the last file that names the mission)
     named: dict[tuple[Path, int], dict[str, Path]] = {}
     for life in lives:
         if life.mission:
@@ -273,16 +274,16 @@ def _chosen(lives: Sequence[ProcessLife]) -> str:
 
 
 def _build_rounds(history: RobotHistory) -> None:
-    """Build a robot's history from the records of its process runs. Raises BadTrace."""
+    """Build the history of a robot from its process runs. Raises BadTrace if two files record one round."""
     history.lives.sort(key=_order)
-    teller = _HistoryBuilder(history)
+    builder = _HistoryBuilder(history)
     for life in history.lives:
-        teller.live(life)
-    teller.end()
+        builder.live(life)
+    builder.end()
 
 
 def _order(life: ProcessLife) -> tuple[int, int]:
-    """Return a sort key for process runs: the first recorded round, then the position in the file."""
+    """Return the sort key of a process run: its first recorded round, then its first line in the file."""
     first = FOREVER
     for line in life.lines:
         if line.record["kind"] in ("init", "round"):
@@ -293,25 +294,27 @@ def _order(life: ProcessLife) -> tuple[int, int]:
 
 
 class _HistoryBuilder:
-    """Builder of one robot's history from the records of its process runs."""
+    """Builder of the history of one robot. Reads the records of the robot's process runs in order."""
 
     def __init__(self, history: RobotHistory) -> None:
         self.history = history
-        self.previous = -1  # last round with a record; 0 for `init`, -1 for none
-        self.doubt = ""  # reason why there may be rounds after `previous` without a record; empty if there are none
-        self.came_back = False  # whether `doubt` is due to a restart or to a missing trace, not to a broken line
-        # whether the robot has stopped in the present process run, and the time of the stop
-        self.stopping, self.stopped = False, 0.0
-        self.times: list[tuple[float, int]] = []  # (time, number) of each recorded round
-        self.left = FOREVER  # first round in which the robot had left the mission
-        self.whose: dict[int, Path] = {}  # round -> the file that records it
+        self.previous = -1  # last round read from the records; 0 for `init`, -1 for no round
+        # Reason why records of rounds after `previous` may be missing; empty if no record is missing.
+        self.doubt = ""
+        # Whether the reason in `doubt` is a restart or a missing trace, not an unreadable line.
+        self.came_back = False
+        self.stopping = False  # whether the robot has stopped in the present process run
+        self.stopped = 0.0  # time of the stop in seconds
+        self.times: list[tuple[float, int]] = []  # (time, number) of each round in the present process run
+        self.left = FOREVER  # first round after the robot had left the mission
+        self.whose: dict[int, Path] = {}  # number of a round -> file that records the round
 
     def live(self, life: ProcessLife) -> None:
         history = self.history
         if not life.continues:
             self.stopping, self.stopped, self.times, self.left = False, 0.0, [], FOREVER
             if life is not history.lives[0]:
-                self.doubt, self.came_back = self.doubt or "its process had ended, and began anew", True
+                self.doubt, self.came_back = self.doubt or "its process had ended and was started again", True
         for line in life.lines:
             record = line.record
             match record["kind"]:
@@ -329,7 +332,7 @@ class _HistoryBuilder:
                     history.monitors.append(record)
                 case "phase" if record["phase"] == "stopping" and not self.stopping:
                     self.stopped, self.stopping = _time(record), True
-                    history.out.append(Gap(0, FOREVER, record.get("detail", "") or "it had come to rest"))
+                    history.out.append(Gap(0, FOREVER, record.get("detail", "") or "the robot had stopped"))
                 case kind if kind == LOST:
                     self.doubt = self.doubt or f"{life.log.path}:{line.number} cannot be read"
                 case _:
@@ -337,15 +340,15 @@ class _HistoryBuilder:
         if self.stopping:
             since = max([r for time, r in self.times if time <= self.stopped], default=self.previous)
             history.out[-1] = history.out[-1]._replace(since=min(since + 1, self.left))
-        elif self.left < FOREVER:  # the robot left the mission, but the record of its stop cannot be read
+        elif self.left < FOREVER:  # the robot left the mission, but the record of its stop is missing or unreadable
             self.stopping = True
-            history.out.append(Gap(self.left, FOREVER, "it had come to rest"))
+            history.out.append(Gap(self.left, FOREVER, "the robot had stopped"))
 
     def checkpoint(self, record: Mapping[str, Any]) -> None:
-        """Begin the next part of the trace. Rounds before it without a record become unknown."""
+        """Read the checkpoint that begins a part of a trace. Earlier rounds without a record become unknown."""
         history, round_ = self.history, record["round"]
         if round_ > self.previous:
-            self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are not there"))
+            self.lose(Gap(self.previous + 1, round_ + 1, self.doubt or "older parts of its trace are missing"))
             history.turns[round_ + 1] = record.get("own")
             history.lacks = True
             if self.previous < 0:
@@ -354,9 +357,9 @@ class _HistoryBuilder:
         self.doubt, self.came_back = "", False
 
     def own(self, life: ProcessLife, round_: int) -> bool:
-        """Return whether this is the first record of a round.
+        """Return whether the history has no record of the round yet.
 
-        Raises BadTrace if another file records the same round."""
+        Raises BadTrace if another file records this round."""
         before = self.whose.setdefault(round_, life.log.path)
         if before != life.log.path:
             what = f"round {round_}" if round_ else "its init"
@@ -368,18 +371,18 @@ class _HistoryBuilder:
     def round(self, life: ProcessLife, line: TraceLine) -> None:
         history, round_ = self.history, line.record["round"]
         if self.previous < 0 and not self.doubt:
-            self.doubt, self.came_back, history.lacks = f"{life.log.path} begins there", True, True
+            self.doubt, self.came_back, history.lacks = f"{life.log.path} begins in round {round_}", True, True
         if self.doubt and round_ > self.previous:
             self.join(life, Gap(self.previous + 1, round_, self.doubt))
             self.doubt, self.came_back = "", False
-        # the robot had stopped in an earlier process run, and now runs again
+        # the robot had stopped in an earlier process run, but has run again since round `round_`
         if history.out and history.out[-1].until == FOREVER and not self.stopping:
             history.out[-1] = history.out[-1]._replace(until=round_)
         history.rounds[round_] = line
         self.previous = max(self.previous, round_)
 
     def join(self, life: ProcessLife, gap: Gap) -> None:
-        """Add the gap before a record, and the state that a restarted robot restored."""
+        """Add a gap to the history, and the locals and actuators that the robot restored if it had restarted."""
         self.history.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None
@@ -397,12 +400,12 @@ class _HistoryBuilder:
         self.history.turns[gap.since] = None
 
     def end(self) -> None:
-        """Add the rounds after the last record as a gap, unless the robot certainly stopped."""
+        """Add the rounds after the last record as a gap, unless the robot had stopped."""
         lives = self.history.lives
         if not lives:
             self.lose(Gap(0, FOREVER, "the robot has no trace"))
         elif self.doubt or not self.stopping:
-            why = self.doubt or f"its trace ends there ({lives[-1].log.path})"
+            why = self.doubt or f"its trace {lives[-1].log.path} ends earlier"
             self.lose(Gap(self.previous + 1, FOREVER, why))
 
 
@@ -411,7 +414,7 @@ def _time(record: Mapping[str, Any]) -> float:
 
 
 def _views(histories: Sequence[RobotHistory]) -> None:
-    """Add the rounds in which other robots had removed a robot from the fleet."""
+    """Add to each history the rounds in which the robot was removed from the fleet by the other robots."""
     views = {
         line.record["number"]: line.record
         for history in histories
@@ -425,6 +428,8 @@ def _views(histories: Sequence[RobotHistory]) -> None:
             if member < 0:
                 since.setdefault(history.pid, view["since"])
             elif history.pid in since:
-                history.away.append(Gap(since.pop(history.pid), view["since"], "the other robots had removed it"))
+                history.away.append(
+                    Gap(since.pop(history.pid), view["since"], "the other robots had removed the robot from the fleet")
+                )
     for pid, first in since.items():
-        histories[pid].away.append(Gap(first, FOREVER, "the other robots had removed it"))
+        histories[pid].away.append(Gap(first, FOREVER, "the other robots had removed the robot from the fleet"))

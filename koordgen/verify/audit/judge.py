@@ -1,4 +1,4 @@
-"""Judge: evaluates a program's properties over the whole fleet, after every round."""
+"""Judge: evaluates the properties of a program over the whole fleet, after every round of a mission."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ from koordgen.verify.audit.result import (
     ValueRow,
 )
 
-MOST_READ = 8  # largest number of values that a violation shows
-MOST_ROBOTS = 6  # largest number of robots in a table
-_ANY = "the run followed a counterexample, which begins in any state in which the invariants hold"
-Progress = Callable[[int, int], None]  # called with the present round and the number of rounds
+MOST_READ = 8  # largest number of values that the report of a violation shows
+MOST_ROBOTS = 6  # largest number of robots in the table of a violation
+_ANY = "the run replayed a counterexample, which begins in any state in which the invariants hold"
+Progress = Callable[[int, int], None]  # function that is called with the present round and the number of rounds
 
 
 @dataclass(frozen=True, slots=True)
 class _Evaluation:
     """Outcome of one evaluation of a property.
 
-    `why`: the name of an unknown value, or the cause of a missing result.
-    `robot`: the robot that owns the unknown value; -1 if no robot does."""
+    `why`: the name of the unknown value, or the reason why the property has no value; otherwise empty.
+    `robot`: pid of the robot that owns the unknown value; -1 if no robot owns it."""
 
     outcome: Outcome
     why: str = ""
@@ -54,7 +54,7 @@ _UNRECORDED = _Evaluation("unknown", "a call of a port that is not recorded")
 
 
 def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
-    """Evaluate a property as the function `judged` does, and also record the owner of an unknown value."""
+    """Evaluate a property with the function `judged`, and record the robot that owns an unknown value."""
     robot = -1
 
     def listening(known: Known) -> bool:
@@ -72,7 +72,8 @@ def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
 class PropertyJudge:
     """Judge of the properties of one mission.
 
-    `results`: the results of properties in the program's order, then of assumptions, then of unchecked properties."""
+    `results`: first the results of properties in the order of the program, then of assumptions, then of properties that
+        cannot be checked."""
 
     def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
         self._meaning, self._mission = meaning, mission
@@ -87,9 +88,10 @@ class PropertyJudge:
                 result.unchecked = _ANY if result.of == "initially" else result.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
         self._whole = FleetState(meaning, mission)
-        self._before: dict[str, Any] = {}  # values at the previous observation
-        # for each result, the outcomes in this round
-        self._told: list[list[tuple[Outcome, str]]] = [[] for _ in self.results]
+        # Values at the previous observation.
+        self._before: dict[str, Any] = {}
+        # Outcomes in the present round, one list for each of `results`.
+        self._outcomes: list[list[tuple[Outcome, str]]] = [[] for _ in self.results]
 
     def run(self, progress: Progress) -> list[PropertyResult]:
         whole, first, last = self._whole, self._mission.first, self._mission.last
@@ -113,9 +115,9 @@ class PropertyJudge:
         return self.results
 
     def _close(self, round_: int) -> None:
-        for result, told in zip(self.results, self._told, strict=True):
-            result.close(round_, told, of_each=result.of == "assume")
-            told.clear()
+        for result, outcomes in zip(self.results, self._outcomes, strict=True):
+            result.close(round_, outcomes, of_each=result.of == "assume")
+            outcomes.clear()
 
     def _note(
         self,
@@ -125,7 +127,7 @@ class PropertyJudge:
         violation: Callable[[], AuditViolation],
     ) -> None:
         missing = self._missing(came, observation) if came.outcome == "unknown" else ""
-        self._told[next(k for k, f in enumerate(self.results) if f is result)].append((came.outcome, missing))
+        self._outcomes[next(k for k, f in enumerate(self.results) if f is result)].append((came.outcome, missing))
         if came.outcome in ("violated", "no value") and result.first is None:
             result.first = violation()
 
@@ -139,9 +141,9 @@ class PropertyJudge:
             self._note(result, came, observation, partial(self._violation, property_, came, observation, where))
 
     def _steps(self, round_: int) -> None:
-        """Evaluate the assumptions about each robot's ports in this round.
+        """Evaluate the assumptions about the ports of each robot in a round.
 
-        An assumption relates the values at the round's start to those at its end."""
+        An assumption relates values at the start of the round to values at the end of the round."""
         observation = Observation(round_, True)
         actuators = [p.name for p in self._found.program.ports if p.direction == "actuator"]
         for pid in range(self._n):
@@ -161,12 +163,12 @@ class PropertyJudge:
                 self._note(result, whose, observation, partial(self._broken, assumption, whose, observation))
 
     def _in_model(self, pid: int, round_: int) -> bool:
-        """Return whether a robot is in the model at a round's start and at its end."""
+        """Return whether a robot takes part in the mission both at the start and at the end of a round."""
         history = self._mission.histories[pid]
         return not (history.out_at(round_) or history.out_at(round_ + 1))
 
     def _missing(self, came: _Evaluation, observation: Observation) -> str:
-        """Return a text that names the unknown value and the robot whose trace does not contain it.
+        """Return a text that names the unknown value and explains why its robot's trace lacks the value.
 
         An assumption reads an unprimed sensor at the round's start and a primed sensor at the round's end."""
         read = came.why.partition("[")[0]
@@ -174,7 +176,7 @@ class PropertyJudge:
         later = observation.end and name in self._whole.sensors and (read != name or "[" in came.why)
         if came.robot < 0:
             silent = [s.silent(observation.round) for s in self._mission.histories if s.may_act(observation.round)]
-            return f"{name}: {'; '.join(silent) or 'no trace contains it'}"
+            return f"{name}: {'; '.join(silent) or 'no trace contains the value'}"
         history = self._mission.histories[came.robot]
         return f"{name} of {history.name}: {history.silent(observation.round + later)}"
 
@@ -193,7 +195,7 @@ class PropertyJudge:
         return AuditViolation(observation, where, self._names(pids), self._bound(bound), self._read(trail), why, rows)
 
     def _rows(self, reads: Iterable[str], pids: list[int]) -> Iterable[ValueRow]:
-        """Yield the values of the variables that a property reads: those of `pids`, then allwrite variables."""
+        """Yield the values that a property reads: the values of the robots `pids`, then allwrite variables."""
         before, after, text = self._before, self._whole.values, self._meaning.text
         slots = {name for name in reads if isinstance(after.get(name), list)}
         for pid in pids:

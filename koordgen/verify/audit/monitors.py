@@ -1,4 +1,4 @@
-"""Comparison of robots' monitors with the audit of the whole fleet."""
+"""Comparison of the monitors on robots with the audit of the whole fleet."""
 
 from __future__ import annotations
 
@@ -8,29 +8,32 @@ from typing import Any
 from koordgen.verify.audit.history import FOREVER, FleetMission, RobotHistory
 from koordgen.verify.audit.result import PropertyResult
 
-SLACK = 2  # number of rounds by which a robot may report a violation late
+SLACK = 2  # number of rounds by which a monitor may report a violation late
 _BAD = ("violated", "no value")
 
 
 def compare_monitors(results: Sequence[PropertyResult], mission: FleetMission) -> list[str]:
-    """Return notes about contradictions between the robots' monitors and the audit.
+    """Return notes about contradictions between the monitors on robots and the audit.
 
-    A monitor may have reported a violation that the audit does not find, or may have missed one that the audit finds.
+    A contradiction is a violation that a monitor reported but the audit does not find, or a violation that the audit
+    finds but no monitor reported.
     """
     notes: list[str] = []
     for result in results:
-        said = {history.pid: _said(result, history) for history in mission.histories}
+        said = {history.pid: _reports(result, history) for history in mission.histories}
         told = {pid: spans for pid, spans in said.items() if spans}
         if result.spans and told:
-            notes += [note for pid, spans in told.items() for note in _alone(result, mission.histories[pid], spans)][:3]
-            notes += _unsaid(result, told, mission)
+            notes += [
+                note for pid, spans in told.items() for note in _false_alarms(result, mission.histories[pid], spans)
+            ][:3]
+            notes += _missed_violation(result, told, mission)
     return notes
 
 
-def _said(result: PropertyResult, history: RobotHistory) -> list[tuple[int, int, Mapping[str, Any]]]:
-    """Return a robot's reports about a property.
+def _reports(result: PropertyResult, history: RobotHistory) -> list[tuple[int, int, Mapping[str, Any]]]:
+    """Return the reports about a property by the monitor of a robot, in the order of rounds.
 
-    Each report is a triple: its round, the round of the next report, and its record."""
+    Each report is a triple: the round of the report, the round of the robot's next report, and the record."""
     mine = [r for r in history.monitors if _of(r) == result.of and _line(r) == result.line]
     mine.sort(key=lambda r: int(r["round"]))
     ends = [*[int(r["round"]) for r in mine[1:]], FOREVER]
@@ -47,10 +50,10 @@ def _line(record: Mapping[str, Any]) -> int:
     return int(text) if text.isdecimal() and len(text) < 10 else -1
 
 
-def _alone(
+def _false_alarms(
     result: PropertyResult, history: RobotHistory, spans: list[tuple[int, int, Mapping[str, Any]]]
 ) -> Iterator[str]:
-    """Yield notes about violations that a monitor reported although the property held in the whole fleet."""
+    """Yield a note for each violation that a monitor reported while the property held in the whole fleet."""
     for since, until, record in spans:
         if record.get("outcome") not in _BAD:
             continue
@@ -59,11 +62,12 @@ def _alone(
         if all(result.at(round_) == "held" for round_ in range(first, max(first, last) + 1)):
             yield (
                 f"{history.name} reported in round {since} that {result.title} (line {result.line}) is "
-                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; over the whole fleet it held"
+                f"{record['outcome']}, by values of {record.get('age', 0)} rounds before; over the whole fleet, the "
+                "property held"
             )
 
 
-def _unsaid(
+def _missed_violation(
     result: PropertyResult, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: FleetMission
 ) -> Iterator[str]:
     """Yield a note about a violation that the audit finds but no monitor reported."""
@@ -84,7 +88,7 @@ def _unsaid(
         if record.get("outcome") == "held":
             yield (
                 f"{mission.histories[pid].name} reported that {result.title} (line {result.line}) held in {rounds}; "
-                "over the whole fleet it was violated"
+                "over the whole fleet, the property was violated"
             )
             return
-    yield f"no monitor could evaluate that {result.title} (line {result.line}) was violated in {rounds}"
+    yield f"no monitor reported that {result.title} (line {result.line}) was violated in {rounds}"

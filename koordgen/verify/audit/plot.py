@@ -1,4 +1,4 @@
-"""Picture of an audit: a row for each property over time, with violations and unknown rounds."""
+"""Picture of an audit: one row for each property, with coloured bars for its outcomes over time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COLOURS: dict[Outcome, str] = {"held": "#2a7f3f", "violated": "#c0392b", "no val
 
 
 def draw(audit: Audit, path: Path) -> None:
-    """Write the picture; the file's suffix selects the format. Raises OSError."""
+    """Write the picture of an audit to a file. The suffix of `path` selects the format. Raises OSError."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
@@ -32,7 +32,7 @@ def draw(audit: Audit, path: Path) -> None:
     titles = [f"{result.title}"[:40] for result in rows]
     axes.set_yticks(range(len(rows)), titles)
     axes.invert_yaxis()
-    axes.set_xlabel("s since round 1")
+    axes.set_xlabel("seconds since the start of round 1")
     axes.grid(axis="x", alpha=0.3)
     axes.set_title(f"{audit.program}: {mission.last} rounds; x: first violation")
     figure.legend(

@@ -1,4 +1,4 @@
-"""Generated properties of a program, and the conversion of trace values into the form that they read.
+"""Generated code of a program's properties, and the conversion of trace values for this code.
 
 Simulators and robots run the same generated code.
 """
@@ -25,16 +25,16 @@ from koordgen.verify.prove.report.table import shown
 from koordgen.verify.replay.functions import CannotCall, load, python_value, semantic_value
 from koordgen.verify.replay.values import BadValue, from_trace
 
-# types of the arguments of a planner: a goal, and obstacles as grid cells
+# types of the arguments of a path planner: a goal, and obstacles as grid cells
 ASKED: tuple[Type, ...] = (POINT, list_of(GRID))
 
 
 class GeneratedProperties:
     """Generated properties of one program.
 
-    `types`: name of a variable or port -> its type.
-    If the program has extern functions, the user's file with these functions is loaded. Raises CannotCall if that
-    fails."""
+    `types`: name of a variable or port -> type.
+    `functions`: the user's file with the extern functions of the program. Raises CannotCall if the program has extern
+        functions and the file cannot be loaded."""
 
     def __init__(self, program: decl.Program, functions: Path | None) -> None:
         self.program = program
@@ -45,7 +45,7 @@ class GeneratedProperties:
                 missing = functions or f"{functions_module(program)}.py"
                 raise CannotCall(f"{missing}, the file with the extern functions, does not exist")
             load(program, functions)
-        # Python resolves the annotations of record classes in this module
+        # Python looks up the annotations of record classes in this module
         module = sys.modules["audited"] = ModuleType("audited")
         self._scope: dict[str, Any] = vars(module)
         self._scope["__file__"] = "program.py"
@@ -61,22 +61,22 @@ class GeneratedProperties:
                 raise CannotCall(str(error)) from None
 
     def value(self, name: str, data: Any) -> Any:
-        """Convert the value of a variable or port from a trace.
+        """Convert the value of a variable or port from a trace to the form that generated code reads.
 
-        Returns UNKNOWN in three cases: the value is missing; the value is null, which stands for every number that is
-        not finite; the value does not have the variable's type."""
+        Returns UNKNOWN if the value is missing, if it is null (traces write null for numbers that are not finite), or
+        if it does not have the type of the variable or port."""
         return UNKNOWN if data is UNKNOWN else self._of(data, self.types[name]) if name in self.types else UNKNOWN
 
     def values(self, group: Mapping[str, Any]) -> dict[str, Any]:
         return {name: self.value(name, data) for name, data in group.items()}
 
     def call(self, port: str, args: list[Any], answer: Any) -> tuple[str, tuple[Any, ...], Any]:
-        """Convert one call of a callable port from a trace: (port, arguments, answer)."""
+        """Convert a call of a callable port from a trace. Returns the port, the arguments and the answer."""
         given = tuple([self._of(arg, type_) for arg, type_ in zip(args, ASKED, strict=False)])
         return port, given, self.value(port, answer)
 
     def text(self, name: str, value: Any) -> str:
-        """Return a value as Koord text, with numbers rounded to six digits."""
+        """Return the value of a variable or port as Koord text, with floats rounded to six significant digits."""
         if value is UNKNOWN:
             return "unknown"
         type_ = self.types.get(name)
@@ -109,7 +109,7 @@ def _hidden(data: Any) -> bool:
 
 
 def _short(value: Any) -> Any:
-    """Return a value with all floats in it rounded to six digits."""
+    """Return a value in which all floats are rounded to six significant digits."""
     match value:
         case float():
             return float(f"{value:.6g}")

@@ -1,4 +1,4 @@
-"""Result of an audit for one property: observations, violations and unknown rounds."""
+"""Result of an audit for one property: outcomes in rounds, the first violation, and unknown values."""
 
 from __future__ import annotations
 
@@ -14,23 +14,25 @@ BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
 class Observation(NamedTuple):
-    """Time of an observation. Earlier observations compare as less.
+    """Time of an observation. Observations are ordered by time.
 
-    `round`: the round; 0 is `init`.
-    `end`: False for right after the round's events, True for the round's end."""
+    `round`: number of the round; 0 for `init`.
+    `end`: True at the round's end; False right after the round's events."""
 
     round: int
     end: bool
 
     def seconds(self, delta: float) -> float:
-        """Return the fleet time in seconds since round 1 began; 0 for `init`."""
+        """Return the time of the observation in seconds since round 1 began; 0 for `init`."""
         return max(0.0, (self.round - 1 + self.end) * delta)
 
 
 class ValueRow(NamedTuple):
-    """Value of a variable at the previous observation and at this one, as text.
+    """Row of a violation's table: values of one variable as text.
 
-    `robot`: the robot that owns the variable; empty for an allwrite variable."""
+    `robot`: name of the robot that owns the variable; empty for an allwrite variable.
+    `before`: value at the observation before the violation.
+    `after`: value at the observation with the violation."""
 
     robot: str
     variable: str
@@ -42,12 +44,12 @@ class ValueRow(NamedTuple):
 class AuditViolation:
     """First violation of a property.
 
-    `where`: the time within the round, in words.
-    `robots`: the robots for which the property was false.
-    `bound`: the values of the formula's quantified names.
-    `read`: the values that the formula read.
-    `why`: the reason why the property had no value; empty if it was false.
-    `rows`: the values of relevant variables before and after."""
+    `where`: the time of the violation within the round, in words.
+    `robots`: names of the robots for which the property was false.
+    `bound`: values of the names that the formula's quantifiers bind.
+    `read`: values that the evaluation of the formula read.
+    `why`: the reason why the property had no value; empty if the property was false.
+    `rows`: values of the variables that the property reads."""
 
     observation: Observation
     where: str
@@ -59,7 +61,7 @@ class AuditViolation:
 
 
 class OutcomeSpan(NamedTuple):
-    """Consecutive rounds with the same outcome, from `since` to `until` inclusive."""
+    """Consecutive rounds in which a property had the same outcome, from `since` to `until` inclusive."""
 
     since: int
     until: int
@@ -70,12 +72,13 @@ class OutcomeSpan(NamedTuple):
 class PropertyResult:
     """Result of one property.
 
-    `unchecked`: the reason why the property can never be evaluated; empty if it can.
-    `unseen`: for an assumption: whether a robot may have broken it unnoticed, because the robot was in the model while
-        its ports were unknown.
+    `unchecked`: the reason why the property can never be evaluated; empty for all other properties.
+    `unseen`: whether the property is an assumption that may have been broken unnoticed, because a robot took part in
+        the mission while values of its ports were unknown.
     `rounds`: number of rounds in which the property was evaluated; for an assumption, summed over all robots.
-    `unknown`: number of rounds in which it could not be evaluated; for an assumption, summed over all robots.
-    `missing`: unknown value with its cause -> number of rounds."""
+    `unknown`: number of rounds in which the property could not be evaluated, summed in the same way.
+    `violated`: number of rounds in which the property was false or had no value, summed in the same way.
+    `missing`: text about an unknown value and its cause -> number of rounds."""
 
     of: Of
     name: str
@@ -102,9 +105,9 @@ class PropertyResult:
         return "held" if self.rounds and not self.unseen else "unknown"
 
     def miss(self, first: int, of_each: int) -> None:
-        """Count all rounds before `first` as unknown, since no trace records them.
+        """Count all rounds before the round `first` as unknown, since no trace records them.
 
-        `of_each`: number of evaluations in each round."""
+        `of_each`: number of evaluations of the property in one round."""
         if self.unchecked:
             return
         self.unknown += first * of_each
@@ -113,15 +116,15 @@ class PropertyResult:
         self.spans.append(OutcomeSpan(0, first - 1, "unknown"))
 
     def at(self, round_: int) -> Outcome:
-        """Return the outcome of a round; "unknown" if the property was not evaluated then."""
+        """Return the outcome of the property in a round; "unknown" if it was not evaluated in the round."""
         return next((span.outcome for span in self.spans if span.since <= round_ <= span.until), "unknown")
 
     def close(self, round_: int, outcomes: Sequence[tuple[Outcome, str]], of_each: bool) -> None:
-        """Add the outcomes of one round.
+        """Add the outcomes of the property in one round.
 
         `outcomes`: pairs of an outcome and a text about the unknown value.
-        `of_each`: whether each outcome counts on its own, as for an assumption with one outcome per robot. Otherwise
-            only the worst one counts."""
+        `of_each`: whether all outcomes count, as for an assumption with one outcome for each robot. Otherwise only the
+            worst outcome counts."""
         if not outcomes:
             return
         worst = min(outcomes, key=lambda each: WORST.index(each[0]))

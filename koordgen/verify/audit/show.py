@@ -1,4 +1,4 @@
-"""Result of an audit as text of at most 100 columns, and as data for JSON."""
+"""Output of an audit's result: text of at most 100 columns, and data for JSON."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """Finished audit.
+    """Finished audit of a mission.
 
-    `proved`: name of an invariant -> its verdict by `koordgen prove`; None if the prover was not asked.
-    `ended`: whether a time limit ended the audit early."""
+    `proved`: name of an invariant -> verdict of `koordgen prove`; None if the prover did not run.
+    `ended`: whether a time limit ended the audit before the last round."""
 
-    program: str  # file of the program
+    program: str  # path of the program's file
     mission: FleetMission
     results: Sequence[PropertyResult]
     blames: Sequence[Blame]
@@ -39,7 +39,7 @@ class Audit:
 
     @property
     def doubtful(self) -> bool:
-        """Return whether the audit does not cover the whole mission, because something is unknown or missing."""
+        """Return whether the audit is incomplete: unknown values, missing parts of traces, or a time limit."""
         return (
             self.ended
             or self.mission.cut
@@ -104,7 +104,7 @@ def _details(result: PropertyResult, audit: Audit) -> Iterator[str]:
 
 
 def when(violation: AuditViolation, mission: FleetMission) -> str:
-    """Return the time of a violation as text."""
+    """Return the time of a violation as text: seconds since round 1 began, round, fleet time."""
     seconds = violation.observation.seconds(mission.delta)
     round_ = violation.observation.round
     if round_ == 0:
@@ -148,33 +148,33 @@ def _rows(violation: AuditViolation) -> Iterator[str]:
 
 
 def sentence(blame: Blame, audit: Audit) -> str:
-    """Return a sentence that relates an invariant's proof to the violation of the invariant."""
+    """Return a sentence about what the violation of an invariant means for the proof of the invariant."""
     name = blame.invariant.name
     said = None if audit.proved is None else audit.proved.get(name, "nothing")
-    gone = _gone(blame, audit.mission)
+    uncovered = _uncovered(blame, audit.mission)
     if blame.broke:
         told = [_broke(result, audit.mission) for _, result in blame.broke]
         verb = "rests" if said == PROVED else "would rest"
-        return f"the proof of {name} {verb} on {'; and on '.join(told)}{gone}"
-    seen = f"no assumption of its proof broke before{gone}"
+        return f"the proof of {name} {verb} on {'; and on '.join(told)}{uncovered}"
+    seen = f"no assumption of its proof broke before{uncovered}"
     if blame.unseen:
         texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
-        seen = f"no assumption of its proof was seen to break before, but some were not observed: {texts}{gone}"
+        seen = f"no assumption of its proof was seen to break before, but some were not observed: {texts}{uncovered}"
     bug = (
-        "this is a bug of koordgen, or robots did something outside of its model (`koordgen replay` compares "
-        "what they did with the program): please report it, with these traces"
+        "koordgen has a bug, or robots did something that its model does not contain (`koordgen replay` compares "
+        "what robots did with the program): please report the violation, with these traces"
     )
     if said is None:
-        return f"{seen}. If `koordgen prove` says PROVED of {name} (`--prove` asks it), {bug}"
+        return f"{seen}. If `koordgen prove` says PROVED of {name} (the option `--prove` runs it), {bug}"
     if said != PROVED:
         return f"`koordgen prove` says {said} of {name} with these params, so no proof covers it"
     return f"{name} is PROVED, and {seen}: {bug}"
 
 
-def _gone(blame: Blame, mission: FleetMission) -> str:
-    """Return a clause that names robots whose behaviour no proof covers; empty if there are none.
+def _uncovered(blame: Blame, mission: FleetMission) -> str:
+    """Return a clause that names robots whose behaviour no proof covers; empty without such robots.
 
-    These robots had left the model before the violation, or had gaps in their traces."""
+    Such a robot had stopped, had been removed from the fleet, or had a gap in its trace before the violation."""
     first = blame.invariant.first
     assert first is not None
     names = [

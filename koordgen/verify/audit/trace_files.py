@@ -1,7 +1,7 @@
-"""Trace files of a fleet. The reader uses as much of a damaged file as possible.
+"""Reader of the trace files of a fleet, which also reads damaged files.
 
-An unreadable record is replaced by a record of kind LOST, after which the robot's state is partly unknown. The reader
-raises an error only for a file that is not a trace at all.
+An unreadable record becomes a record of kind LOST. After such a record, the state of the robot is partly unknown. The
+reader raises an error only for a file that is not a trace at all.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ KINDS_READ = ("header", "init", "round", "phase", "view", "monitor", "checkpoint
 class TraceFlaw:
     """Mistake in a line of a trace file.
 
-    `number`: the line.
-    `cut`: whether the file ends in this line, within a record."""
+    `number`: number of the line, from 1.
+    `cut`: whether the line is the last one and ends within a record."""
 
     number: int
     what: str
@@ -38,11 +38,12 @@ class TraceFlaw:
 class TraceFile:
     """One trace file.
 
-    `names`: pid -> name, for the robots in the file's header.
-    `own`: whether the file belongs to a single robot.
+    `names`: pid -> name of each robot in the file's header.
+    `own`: whether the file is the trace of a single robot.
     `lines`: the records. A record has pid -1 if its robot is unknown.
-    `family`: identifies all files that the same robot wrote in the same folder.
-    `age`: orders the files of a family, the oldest first."""
+    `family`: key that is equal for the files that one robot wrote in one folder.
+    `age`: sort key of the files of a family, the oldest file first.
+    `last`: pid -> round of the robot's last record."""
 
     path: Path
     app: str
@@ -53,8 +54,8 @@ class TraceFile:
     own: bool
     family: tuple[Path, int]
     age: float
-    last: dict[int, int] = field(default_factory=dict)  # pid -> round of the robot's last record
-    # whether the run executed a counterexample of a single step, which may begin in an unreachable state
+    last: dict[int, int] = field(default_factory=dict)
+    # whether the run replayed a counterexample of a single step, which may begin in an unreachable state
     step: bool = False
     lines: list[TraceLine] = field(default_factory=list)
     upgrade: Upgrade = field(default_factory=Upgrade)
@@ -66,11 +67,10 @@ class TraceFile:
 
 
 def trace_files(given: Path) -> list[Path]:
-    """Return the trace files that a path denotes. Raises BadTrace.
+    """Return the trace files that a path denotes. Raises BadTrace if there are none.
 
-    If the path is a file, the result is this file with the earlier parts of the same trace. If it is the folder of a
-    run with a merged trace, the result is the merged trace. For any other folder, the result is all traces below the
-    folder."""
+    A file denotes itself and the earlier parts of the same trace. The folder of a run with a merged trace denotes the
+    merged trace. Any other folder denotes all traces in the folder and its subfolders."""
     if not given.is_dir():
         return parts_of(given)
     merged = given / "trace.jsonl"
@@ -80,12 +80,12 @@ def trace_files(given: Path) -> list[Path]:
             return [merged]
     below = [path for path in sorted(given.rglob("*.jsonl")) if path.is_file() and _header(path) is not None]
     if not below:
-        raise BadTrace(f"{given}: no file *.jsonl in it is a trace of format {FORMAT} or {OLD_FORMAT}")
+        raise BadTrace(f"{given}: no file *.jsonl in this folder is a trace of format {FORMAT} or {OLD_FORMAT}")
     return below
 
 
 def _header(path: Path) -> Mapping[str, Any] | None:
-    """Return the header of a trace file; None if the file has none."""
+    """Return the header of a trace file; None if the file has no header. Raises BadTrace on a read error."""
     try:
         return header_of(path)
     except OSError as error:
@@ -93,7 +93,7 @@ def _header(path: Path) -> Mapping[str, Any] | None:
 
 
 def read_trace_file(path: Path) -> TraceFile:
-    """Read a whole trace file. Raises BadTrace if it is not a trace."""
+    """Read a whole trace file. Raises BadTrace if the file is not a trace or cannot be read."""
     header = _header(path)
     if header is None:
         raise BadTrace(f"{path}: {NO_HEADER}")
@@ -122,7 +122,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> TraceFile:
         names = {int(robot["pid"]): str(robot["name"]) for robot in header["robots"]}
         n_sys = len(names)
     if not 1 <= n_sys <= MOST_ROBOTS or not all(0 <= pid < n_sys for pid in names):
-        raise ValueError(f"pids {sorted(names)} do not fit {n_sys} robots")
+        raise ValueError(f"the pids {sorted(names)} do not fit a fleet of {n_sys} robots")
     base, part = base_of(path)
     family, age = (base, next(iter(names))) if own else (path, -1), math.inf if part is None else part
     return TraceFile(
@@ -131,7 +131,7 @@ def _log(path: Path, header: Mapping[str, Any]) -> TraceFile:
 
 
 def _lines(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Yield each line with its number. A line that is too long is yielded without its end."""
+    """Yield each line of a file with its number. Lines are cut to LONGEST bytes."""
     number = 0
     while data := file.readline(LONGEST):
         number += 1
@@ -148,13 +148,13 @@ def _add_line(log: TraceFile, number: int, data: bytes) -> None:
         raise BadTrace(f"{log.path}:{number}: {error}") from None
     record = _parsed(data)
     if record is None:
-        # the file contains a header within this line if the robot was killed while it wrote a record, and restarted
+        # a robot that was killed while it wrote a record writes the header of its next start into the same line
         again = data.rfind(HEADER)
         if again > 0 and _parsed(data[again:]) is not None:
-            _lose(log, number, pid, "is cut off where the robot restarted")
+            _lose(log, number, pid, "the record is cut off, because the robot restarted")
             _add_line(log, number, data[again:])
         elif len(data) >= LONGEST:
-            _lose(log, number, pid, f"is longer than {LONGEST >> 20} MB")
+            _lose(log, number, pid, f"the line is longer than {LONGEST >> 20} MB")
         elif not data.endswith(b"\n"):
             _lose(log, number, pid, "the trace is cut off here", cut=True)
         elif data.strip():

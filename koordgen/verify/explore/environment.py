@@ -1,4 +1,4 @@
-"""Finite environment: possible sensor values at the start and after each round, and answers of ports."""
+"""Finite environment of an exploration: the possible values of sensors and answers of callable ports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from koordgen.lang.semantics.values import Value
 from koordgen.verify.explore.machine import Answer, Machine, Packed, PrivateState
 from koordgen.verify.replay.functions import semantic_value
 
-# possible answer of a path planner: the straight path from the robot's `position` to the goal
+# marks the straight path from the robot's position to the goal as a possible answer of a path planner
 STRAIGHT: Final = "straight"
 
 
@@ -26,9 +26,11 @@ class SensorDomain(NamedTuple):
     """Possible values of one sensor.
 
     `values`: all possible values.
-    `near`: returns whether a value can change to another one within a round; None if every change is possible.
+    `near`: function that returns whether the sensor can change from one value to another within a round; None if every
+        change is possible.
     `starts`: the possible values at the start of a mission; None for all of `values`.
-    `seen_from`: computes the value from the robot's position; None for a sensor that does not depend on the position.
+    `seen_from`: function that computes the value from the robot's position; None for a sensor that does not depend on
+        the position.
     """
 
     values: tuple[Value, ...]
@@ -38,16 +40,18 @@ class SensorDomain(NamedTuple):
 
 
 class MissingEnvironment(Exception):
-    """Raised if a port needs an environment that is missing or unusable; the message names the port."""
+    """Raised if values or answers of a port are missing or unusable.
+
+    The message names the port or its module."""
 
 
 class Environment(NamedTuple):
-    """Finite environment. Ports are named "Module.port".
+    """Finite environment of a fleet. Ports are named "Module.port".
 
-    `domains`: the possible values of sensors.
-    `answers`: the possible answers of callable ports, each a value or STRAIGHT.
-    `robots`: pid -> the environment of this robot, if it differs from the common one.
-    `params`: values of params that the environment sets."""
+    `domains`: the possible values of each sensor.
+    `answers`: the possible answers of each callable port. An answer is a value or STRAIGHT.
+    `robots`: pid -> environment of this robot, for robots whose environment differs from the common one.
+    `params`: values of the program's params that the environment sets."""
 
     domains: Mapping[str, SensorDomain]
     answers: Mapping[str, tuple[Any, ...]]
@@ -55,15 +59,15 @@ class Environment(NamedTuple):
     params: Mapping[str, Any] = {}
 
     def of(self, pid: int) -> Environment:
-        """Return the environment of one robot: its own one if there is one, otherwise the common one."""
+        """Return the environment of robot `pid`: its entry in `robots`, otherwise this environment."""
         return self.robots.get(pid, self)
 
 
 def possible_answers(environment: Environment, program: decl.Program, n_sys: int) -> Answer:
-    """Return a function that returns all possible answers of a robot's callable port.
+    """Return a function that computes all possible answers to a robot's call of a port.
 
-    The answers depend on the values of the robot's sensors. The function raises MissingEnvironment if the program's
-    assumptions allow no answer."""
+    The function leaves out answers that the program's assumptions forbid; they can depend on the robot's sensors. It
+    raises MissingEnvironment if no answer is left."""
     params = initial(program, 1).params
     deciding = {port: _answer_assumptions(program, port) for port in environment.answers}
     read = {port: _sensors(program, rules, port) for port, rules in deciding.items()}
@@ -98,7 +102,9 @@ def possible_answers(environment: Environment, program: decl.Program, n_sys: int
 
 
 def _answer_assumptions(program: decl.Program, port: str) -> list[decl.Assumption]:
-    """Return the assumptions that read only a port's answer, and sensors at the time of the call."""
+    """Return the assumptions about the answers of a port that can be evaluated when the port is called.
+
+    The sensors in such an assumption have their values at the time of the call, not at the end of the round."""
     sensors = {(m.name, p.name) for m in program.modules for p in m.ports if p.direction == "sensor"}
     found = []
     for assumption in [a for m in program.modules for a in m.assumptions]:
@@ -113,13 +119,13 @@ def _answer_assumptions(program: decl.Program, port: str) -> list[decl.Assumptio
 def _sensors(program: decl.Program, rules: list[decl.Assumption], port: str) -> tuple[str, ...]:
     """Return the sensors on which a port's answers depend.
 
-    These are the sensors in the assumptions about the port, and the robot's position."""
+    These are the sensors in the assumptions `rules`, and the position sensor in the port's module."""
     found = {f"{n.module}.{n.port}" for rule in rules for n in walk(rule.formula) if isinstance(n, PortRead)}
     return tuple(sorted(found | {position_beside(program, port)}))
 
 
 class EnvironmentSteps:
-    """Steps of the environment from fleets of one program (`Machine`)."""
+    """Steps of the environment: the possible changes of all sensor values at the end of a round."""
 
     def __init__(self, machine: Machine, environment: Environment) -> None:
         self.machine = machine
@@ -127,12 +133,12 @@ class EnvironmentSteps:
         own = next(iter(environment.robots), None)
         self.apart = "" if own is None else f"the environment's values for robot {own}"
         self._moves: dict[tuple[int, int], tuple[int, ...]] = {}
-        self._news: dict[Hashable, list[dict[str, Value]]] = {}
+        self._next_sensors: dict[Hashable, list[dict[str, Value]]] = {}
 
     def starts(self) -> Iterator[tuple[dict[str, Value], ...]]:
-        """Yield all combinations of sensor values with which a mission may begin.
+        """Yield all combinations of sensor values with which a mission may begin: a dict for each robot.
 
-        The `initially` properties of the program are not checked here."""
+        The caller must check the `initially` properties of the program."""
         return product(*[self._starts(domains) for domains in self.domains])
 
     def _starts(self, domains: Mapping[str, SensorDomain]) -> list[dict[str, Value]]:
@@ -143,7 +149,9 @@ class EnvironmentSteps:
         return [self._looked(domains, values) for values in product(*pools)]
 
     def _looked(self, domains: Mapping[str, SensorDomain], values: tuple[Value, ...]) -> dict[str, Value]:
-        """Return the values of sensors by name. Sensors that depend on the position are computed from it."""
+        """Return the values of a robot's sensors by name, from a list in the order of `Machine.sensors`.
+
+        The values of sensors with `seen_from` are computed from the robot's position instead."""
         found = dict(zip(self.machine.sensors, values, strict=True))
         for name in found:
             look = domains[name].seen_from
@@ -152,9 +160,9 @@ class EnvironmentSteps:
         return found
 
     def moved(self, fleet: Packed) -> Iterator[Packed]:
-        """Yield every fleet that the environment's step can lead to.
+        """Yield every state of the fleet that is possible after the environment's step from the state `fleet`.
 
-        Raises MissingEnvironment if an assumption has no value."""
+        Raises MissingEnvironment if an assumption cannot be evaluated."""
         if not self.machine.sensors:
             yield fleet
             return
@@ -164,21 +172,21 @@ class EnvironmentSteps:
             yield owns + rest
 
     def moves(self, pid: int, own: int) -> tuple[int, ...]:
-        """Return the possible private states of one robot after the environment's step, by their numbers."""
+        """Return the numbers of all private states that a robot can have after the environment's step."""
         found = self._moves.get((pid, own))
         if found is None:
             robot = self.machine.owns.values[own]
-            # assumptions read only ports, so the result is the same for all robots' states with equal ports
+            # assumptions read only ports, so private states with equal ports have the same possible sensor values
             key = (pid, self.machine.ports_key(robot))
-            if key not in self._news:
+            if key not in self._next_sensors:
                 domains = self.domains[pid]
                 pools = [
                     [True] if name in robot.unset else self._nearby(domains[name], robot.sensors[name])
                     for name in self.machine.sensors
                 ]
                 news = [self._looked(domains, values) for values in product(*pools)]
-                self._news[key] = [new for new in news if self._allowed(pid, robot, new)]
-            moved = [self.machine.own(robot._replace(sensors=new)) for new in self._news[key]]
+                self._next_sensors[key] = [new for new in news if self._allowed(pid, robot, new)]
+            moved = [self.machine.own(robot._replace(sensors=new)) for new in self._next_sensors[key]]
             found = self._moves[pid, own] = tuple(moved)
         return found
 
@@ -186,7 +194,7 @@ class EnvironmentSteps:
         return [v for v in domain.values if domain.near is None or domain.near(now, v)]
 
     def _allowed(self, pid: int, robot: PrivateState, new: Mapping[str, Any]) -> bool:
-        """Return whether the assumptions allow one robot's sensors to change to these values."""
+        """Return whether the assumptions allow the sensors of a robot to change to the values `new`."""
         program, types = self.machine.program, self.machine.types
         before = {n: semantic_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
         after = {**before, **new}

@@ -1,4 +1,7 @@
-"""Parser of environment files. Each mistake is reported with its line and column."""
+"""Parser of environment files, which list the possible values of ports for an exploration.
+
+Each mistake in a file is reported with its line and column.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +25,17 @@ from koordgen.runtime.values.points import Point
 from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
 from koordgen.verify.explore.lidar import lidar
 
-MAX_VALUES = 100_000  # largest number of values of one port
-ROUNDING = 1e-9  # relative tolerance for comparing distances; larger than a distance's rounding error
+MAX_VALUES = 100_000  # largest number of values that one port may have
+ROUNDING = 1e-9  # relative tolerance for comparing distances; exceeds the rounding error of a distance
 ANSWERS: dict[str, tuple[Any, ...]] = {"straight": (STRAIGHT,), "none": ((),), "either": (STRAIGHT, ())}
 PATH, SCANS = list_of(POINT), list_of(TupleOf((POINT, SCAN)))
 
 
 def environment(program: decl.Program, n_sys: int, source: Source | None, report: Report) -> Environment | None:
-    """Return the environment that a file describes; None after a mistake was reported.
+    """Return the environment that the file `source` describes; None if the file has a mistake.
 
-    A bool sensor that the file does not name has both values. Raises MissingEnvironment if another port is not named.
+    Mistakes are passed to `report`. A bool sensor that the file leaves out can be false or true. Raises
+    MissingEnvironment if the file leaves out another sensor or a callable port.
     """
     ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
     sensors = {name: p.type for name, p in ports.items() if p.direction == "sensor"}
@@ -55,13 +59,15 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
 def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type], called: Sequence[str]) -> None:
     missing = [name for name in (*sensors, *called) if name not in found.domains and name not in found.answers]
     if missing:
-        kind = f"answers, one of {', '.join(ANSWERS)}" if missing[0] in called else "values, a finite number of them"
+        choice = f"answers, one of {', '.join(ANSWERS)}: name the answers"
+        kind = choice if missing[0] in called else "values, a finite number of them: list the values"
         others = f" (so do {', '.join(missing[1:])})" if missing[1:] else ""
-        raise MissingEnvironment(f"{missing[0]} needs {kind}: name them in a file for --env{others}")
+        raise MissingEnvironment(f"{missing[0]} needs {kind} in a file for --env{others}")
     for name, answers in found.answers.items():
         if STRAIGHT in answers and not position_beside(program, name):
             raise MissingEnvironment(
-                f"{name}: a straight path begins at a position, but the program has no such sensor beside it"
+                f"{name}: a straight path begins at the robot's position, but the module has no position sensor; list"
+                " the possible paths in the file for --env"
             )
 
 
@@ -70,7 +76,7 @@ class _EnvironmentFile:
         self.reader, self.program, self.sensors, self.called = reader, program, sensors, called
 
     def read(self, usual: Environment, n_sys: int) -> Environment:
-        """Return the whole environment. `usual` has the values of ports that the file does not name."""
+        """Read the file and return its environment. `usual` has the values of ports that the file leaves out."""
         table = self.reader.table(
             self.reader.document(), "the environment", [], [*self.sensors, *self.called, "params", "robots"]
         )
@@ -90,9 +96,9 @@ class _EnvironmentFile:
         return found
 
     def _robots(self, node: YamlNode | None, usual: Environment, n_sys: int) -> dict[int, Environment]:
-        """Return the environments of single robots of this fleet.
+        """Return the environment of each robot that has an entry under `robots`, by pid.
 
-        The file may also name robots that this fleet does not have, so that one file serves fleets of several sizes."""
+        Entries of robots that this fleet does not have are left out, so one file serves fleets of several sizes."""
         found = {}
         keys = [key for key, _ in node.value] if node is not None and node.tag == "tag:yaml.org,2002:map" else []
         pids = [str(key.value) for key in keys if str(key.value).isdecimal()]
@@ -186,9 +192,9 @@ class _EnvironmentFile:
         return given, SensorDomain(tuple(values), None if change is None else _change(change + ROUNDING * step))
 
     def _axes(self, node: YamlNode, what: str, ends: Any, step: float) -> list[list[Any]]:
-        """Return the numbers on each axis of a grid, in ascending order.
+        """Return a list of numbers for each axis of a grid, in ascending order.
 
-        The list is empty if an axis has no numbers, or if the grid has too many values."""
+        Returns empty lists and reports a mistake if an axis has no number or the grid has over MAX_VALUES points."""
         ends = list(ends)
         counts = [math.floor((hi - lo) / step + ROUNDING) + 1 for lo, hi in ends]
         if min(counts) < 1 or math.prod(counts) > MAX_VALUES:
@@ -226,7 +232,7 @@ class _EnvironmentFile:
         return tuple(self._each_value(items, name, type_))
 
     def _each_value(self, items: list[YamlNode], name: str, type_: Type) -> Iterator[Value]:
-        """Yield the values of a list. They are written like the values of params."""
+        """Yield the values of the items in a list. The file writes them in the same form as values of params."""
         at = Span(1, 1, 1, 1)
         param = decl.Param(name, type_, Const(0, type_, at), at)
         alone = replace(self.program, params=(param,), shared=(), locals=(), modules=())
@@ -248,7 +254,7 @@ def _form(type_: Type) -> str:
 
 
 def _stepped(lo: float, step: float, k: int) -> float:
-    """Return `lo` plus k steps, rounded as decimals: three steps of 0.1 from 18 are exactly 18.3."""
+    """Return `lo` plus `k` steps, computed in decimals: 18 plus three steps of 0.1 is exactly 18.3."""
     return type(lo)(Decimal(repr(lo)) + k * Decimal(repr(step)))
 
 

@@ -1,4 +1,4 @@
-"""Invariants of a program, compiled to Python functions that are evaluated on packed fleets."""
+"""Invariants of a program, compiled to Python functions and evaluated on packed states of a fleet."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ from koordgen.verify.explore.pairs import PairInvariants, pair_formula
 
 
 class _Fleet:
-    """Fleet as a compiled formula reads it. The code emitter chooses the names of its attributes."""
+    """Argument of compiled formulas: one attribute for each variable and port of the program.
+
+    `Names` of the code emitter chooses the names of the attributes."""
 
     def __init__(self, n_sys: int) -> None:
         self.n_sys = n_sys
 
 
 class _View:
-    """View: the part of a packed fleet that one formula reads, as numbers.
+    """View of a formula: the part of a fleet's state that the formula reads, as numbers.
 
-    Equal views give equal truth values, so the truth value is stored for each view."""
+    The formula has equal truth values on equal views, so `known` stores the truth value of each view."""
 
     def __init__(self, formula: ir.Expr, machine: Machine) -> None:
         names = _reads(formula)
@@ -39,9 +41,9 @@ class _View:
         self.known: dict[Packed, bool] = {}
 
     def of(self, fleet: Packed) -> Packed:
-        """Return the view of a fleet.
+        """Return the view of a fleet's state.
 
-        Each number of the fleet is replaced by the number of the part that the formula reads."""
+        Each number in the state stands for several values. The view numbers only the values that the formula reads."""
         n_sys = self._machine.n_sys
         owns, slots, cells = self._of
         try:
@@ -75,7 +77,7 @@ class _View:
 class Invariants:
     """Compiled invariants of one program.
 
-    `unchecked`: names of the invariants that call a `spec fun`, which cannot be evaluated."""
+    `unchecked`: names of the invariants that call a `spec fun`. Such a function cannot be evaluated."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -93,7 +95,7 @@ class Invariants:
             if one is None
         ]
         self._fleet = _Fleet(machine.n_sys)
-        self._pairs = PairInvariants(machine, [one for one in spreads if one], self._fleet, self._take)
+        self._pairs = PairInvariants(machine, [one for one in spreads if one], self._fleet, self._load)
         names, program = machine.names, machine.program
         self._each: dict[str, Each[Any]] = {}
         self._one: dict[str, One[Any]] = {}
@@ -108,21 +110,21 @@ class Invariants:
             setattr(self._fleet, names.shared[name], self._one[name])
 
     def broken(self, fleet: Packed) -> decl.Property | None:
-        """Return the first invariant that does not hold or has no value; None if all hold."""
+        """Return the first invariant that is false or has no value in a state; None if all are true."""
         if self._pairs.hold(fleet) and self._whole_hold(fleet):
             return None
-        self._take(fleet)
+        self._load(fleet)
         return next(p for p, holds in zip(self.properties, self._holds, strict=True) if not self._true(holds))
 
     def _whole_hold(self, fleet: Packed) -> bool:
-        """Return whether those invariants hold that read more than a pair of robots."""
+        """Return whether the invariants hold that are not evaluated by `PairInvariants`."""
         taken = False
         for view, holds in self._whole:
             seen = view.of(fleet)
             held = view.known.get(seen)
             if held is None:
                 if not taken:
-                    self._take(fleet)
+                    self._load(fleet)
                     taken = True
                 held = view.known[seen] = self._true(holds)
             if not held:
@@ -133,10 +135,10 @@ class Invariants:
         begin()
         try:
             return holds(self._fleet)
-        except Exception:  # an extern function, written by the user, may raise any exception
+        except Exception:  # an extern function is code of the user and may raise any exception
             return False
 
-    def _take(self, fleet: Packed) -> None:
+    def _load(self, fleet: Packed) -> None:
         machine = self.machine
         robots = [machine.owns.values[own] for own in fleet[: machine.n_sys]]
         for v in machine.program.locals:
@@ -165,7 +167,7 @@ def _calls(formula: ir.Expr, specs: set[str]) -> bool:
 
 
 def _reads(formula: ir.Expr) -> set[str]:
-    """Return the names of the locals, shared variables and ports that a formula reads."""
+    """Return the names of the local variables, shared variables and ports that a formula reads."""
     found = set()
     for node in walk(formula):
         match node:

@@ -1,4 +1,4 @@
-"""Model of a planar lidar among walls."""
+"""Model of a planar lidar that measures the distances to walls."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ Wall = tuple[Point, Point]  # opposite corners of a box, in metres in the local 
 
 
 def lidar(rays: int, range_: float, walls: tuple[Wall, ...]) -> Callable[[Point], tuple[tuple[Point, Scan], ...]]:
-    """Return a function from a position to one scan of a lidar.
+    """Return a function that computes the scan of a lidar from the lidar's position.
 
-    A scan has `rays` rays around the position, from east on, up to `range_` metres. The lidar does not see robots."""
+    A scan has `rays` rays at equal angles, counter-clockwise from east, of at most `range_` metres. The lidar sees the
+    walls, but no robots."""
     angles = tuple([2 * math.pi * k / rays for k in range(rays)])
 
     def look(place: Point) -> tuple[tuple[Point, Scan], ...]:
-        ranges = [min([_way(place, angle, wall) for wall in walls], default=math.inf) for angle in angles]
+        ranges = [min([_ray_distance(place, angle, wall) for wall in walls], default=math.inf) for angle in angles]
         return ((place, Scan(angles, tuple([min(range_, way) for way in ranges]), range_)),)
 
     return look
 
 
-def _way(place: Point, angle: float, wall: Wall) -> float:
-    """Return the distance in metres along a ray to the point where it enters a box (slab method).
+def _ray_distance(place: Point, angle: float, wall: Wall) -> float:
+    """Return the distance in metres from `place` to a wall along a ray, by the slab method.
 
-    Returns infinity if the ray misses the box."""
+    Returns infinity if the ray misses the wall."""
     enter, leave = 0.0, math.inf
     lo, hi = wall
     for at, along, low, high in (

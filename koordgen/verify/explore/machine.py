@@ -1,13 +1,13 @@
-"""Transition function of one program: runs the robots' generated code on packed fleets.
+"""Transition function of one program: runs the generated code of robots on packed states of a fleet.
 
-A packed fleet of N robots is a flat tuple of 2 N + 1 small ints:
+A packed state of a fleet of N robots is a flat tuple of 2 N + 1 ints:
 
 - one int for each robot's private state: locals, ports, and whether the robot has stopped;
 - one int for each robot's slots of the allread variables;
 - one int for the allwrite variables.
 
-Equal ints denote equal values. Floats are distinguished by all their bits. The number of the round is left out, since
-no event can read it. The results of transitions are memoised.
+Each int is an index into a table of values (`Interned`), and equal values have equal ints. 0.0 and -0.0 count as
+different values, since a program can distinguish them. The number of the round is left out, since no event can read it.
 """
 
 from __future__ import annotations
@@ -32,10 +32,9 @@ from koordgen.verify.replay.functions import CannotCall, load, python_value, sem
 
 T = TypeVar("T")
 Packed = tuple[int, ...]
-# Call: arguments "Module.port" and the call's arguments; result: the answer.
-# Answer: arguments pid, the robot's sensors, "Module.port" and the call's arguments; result: all possible answers.
+# function that answers calls of ports: ("Module.port", arguments of the call) -> answer
 Call = Callable[[str, tuple[Any, ...]], Any]
-# pid, its sensors, "Module.port", arguments -> all possible answers
+# function that returns all possible answers: (pid, the robot's sensors, "Module.port", arguments) -> answers
 Answer = Callable[[int, Mapping[str, Any], str, tuple[Any, ...]], tuple[Any, ...]]
 _numbers = count()
 
@@ -43,7 +42,7 @@ _numbers = count()
 class PrivateState(NamedTuple):
     """Private state of one robot. Ports are named "Module.port".
 
-    `unset`: sensors that commands clear, but that no command has cleared yet. Such sensors are true."""
+    `unset`: sensors that stay true until the first command sets them to false."""
 
     locals: Mapping[str, Any]
     sensors: Mapping[str, Any]
@@ -53,12 +52,12 @@ class PrivateState(NamedTuple):
 
 
 class RobotStep(NamedTuple):
-    """One possible step of a robot.
+    """One possible step of a robot: an event and its results, as indices into tables of `Machine`.
 
-    `event`: index of the event.
-    `own`: number of the private state after the event.
-    `slots`: number of the robot's slots after the event.
-    `cells`: number of the event's writes to allwrite variables."""
+    `event`: index of the event in the program.
+    `own`: the private state of the robot after the event.
+    `slots`: the robot's slots after the event.
+    `cells`: the event's writes to allwrite variables."""
 
     event: int
     own: int
@@ -70,9 +69,10 @@ class DiscardedEvent(NamedTuple):
     """An event that was discarded, or an event in which a loop invariant was false.
 
     `event`: index of the event; -1 for `init`.
-    `seen`: the store that the event read: slots and allwrite variables of a packed fleet.
+    `own`: number of the robot's private state before the event.
+    `seen`: the shared variables that the event read, as in a packed state: slots of all robots, allwrite variables.
     `line`: line of the fault or of the loop invariant.
-    `choice`: the step of an event with a false loop invariant; None for a discarded event."""
+    `choice`: step of the event with the false loop invariant; None for a discarded event."""
 
     pid: int
     event: int
@@ -84,19 +84,19 @@ class DiscardedEvent(NamedTuple):
 
 
 class AnswerEnumeration:
-    """Runs one event repeatedly, once for each combination of answers of callable ports.
+    """Enumeration of the answers that callable ports can give to one event.
 
-    Within a run, equal calls get equal answers."""
+    The event runs once for each combination of answers. Within one run, equal calls get equal answers."""
 
     def __init__(self, answers: Callable[[str, tuple[Any, ...]], tuple[Any, ...]]) -> None:
         self._answers = answers
         self._raised: Exception | None = None
 
     def runs(self) -> Iterator[None]:
-        """Yield once per combination of answers. After each yield, the caller runs the event.
+        """Yield once for each combination of answers. After each yield, the caller runs the event.
 
-        If computing the possible answers raised an exception, it is raised again here. Otherwise the run would report
-        it as a fault of the event."""
+        An exception of the function that computes possible answers is raised again here. Without that, the exception
+        would count as a fault of the event."""
         self._pending: list[tuple[int, ...]] = [()]
         while self._pending:
             self._script = self._pending.pop()
@@ -122,7 +122,7 @@ class AnswerEnumeration:
 
 
 class Interned(Generic[T]):
-    """Table that gives each value a number. Values with equal keys have the same number."""
+    """Table that numbers values. Values with equal keys get the same number."""
 
     def __init__(self) -> None:
         self.values: list[T] = []
@@ -138,11 +138,10 @@ class Interned(Generic[T]):
 class Machine:
     """Transitions of one program in a fleet of `n_sys` robots.
 
-    If the program has extern functions, the user's file with these functions is loaded. Raises CannotCall if that
-    fails.
-
-    `discards`: all discarded events so far.
-    `enabled`: indices of the events that had a result so far."""
+    `functions`: the user's file with the extern functions of the program. Raises CannotCall if the program has extern
+        functions and the file cannot be loaded.
+    `discards`: the events that were discarded, or in which a loop invariant was false, in order.
+    `enabled`: indices of the events that had a result at least once."""
 
     def __init__(self, program: decl.Program, n_sys: int, answer: Answer, functions: Path | None = None) -> None:
         self.program, self.n_sys, self.answer = program, n_sys, answer
@@ -165,40 +164,44 @@ class Machine:
         self.params = initial(program, 1).params
         self.discards: list[DiscardedEvent] = []
         self.enabled: set[int] = set()
-        self.begin: type[rt.Transaction] = self.code.begin  # class of the transactions in which events run
+        # class of the object that holds the values of all variables while an event runs
+        self.begin: type[rt.Transaction] = self.code.begin
         place = {event.name: index for index, event in enumerate(program.events)}
         self.earlier = [tuple([place[e.name] for e in program.earlier(event)]) for event in program.events]
         self._look: rt.Transaction | None = None
         self.sensor_attributes = {f"{m}.{port}": self.names.ports[m, port] for m, port in self.names.sensors}
 
     def prior(self, events: Sequence[int], pid: int, own: int, begun: Packed) -> tuple[int, ...]:
-        """Return those of `events` that a robot may run by the rules of `priority:` blocks.
+        """Return the events in `events` that the `priority:` blocks of the program allow a robot to run.
 
-        For such an event, every earlier guard of its block has a value and is false on the store at the round's start.
+        An event in a block is allowed if all earlier guards of the block are false at the start of the round. A guard
+        without a value does not count as false. `begun`: the shared variables at the start of the round.
         """
         robot = self.owns.values[own]
         held = {earlier: self._may_hold(earlier, pid, robot, begun) for e in events for earlier in self.earlier[e]}
         return tuple([event for event in events if not any(held[earlier] for earlier in self.earlier[event])])
 
     def first(self, pid: int, own: int, begun: Packed) -> int | None:
-        """Return the event that an agent runs: the first in text order whose guard holds or has no value."""
+        """Return the index of the event that an agent runs; None if the agent runs no event.
+
+        An agent runs the first event of the program whose guard is true or has no value."""
         robot = self.owns.values[own]
         if robot.stopped:
             return None
         return next((e for e in range(len(self.code.events)) if self._may_hold(e, pid, robot, begun)), None)
 
     def _may_hold(self, event: int, pid: int, robot: PrivateState, begun: Packed) -> bool:
-        """Return whether the guard of an event holds or has no value."""
+        """Return whether the guard of an event is true or has no value."""
         try:
             return self.code.events[event].guard(self._looking(pid, robot, begun, rt.no_ports))
-        except Exception:  # evaluating the guard failed, so it has no value
+        except Exception:  # a guard that raises an exception has no value
             return True
 
     def choices(self, events: Sequence[int], pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
-        """Return the possible steps of a robot that reads the store `seen`.
+        """Return the possible steps of a robot whose events read the shared variables `seen`.
 
-        There is one step for each event whose guard holds, and for each combination of answers. Discarded events are
-        recorded in `discards` instead. All `events` must have priority (see `prior`)."""
+        Each event whose guard is true makes one step for each combination of answers of callable ports. Discarded
+        events make no step, and are recorded in `discards`. `prior` must allow all `events`."""
         robot = self.owns.values[own]
         if robot.stopped:
             return ()
@@ -219,19 +222,19 @@ class Machine:
         return AnswerEnumeration(lambda port, args: self.answer(pid, robot.sensors, port, args))
 
     def _run(self, event: rt.Event, looking: Any, frame: Callable[[], rt.Frame]) -> rt.Effects | rt.Fault | None:
-        """Run an event. Returns None if the event's guard does not hold."""
+        """Run an event, and return its effects or its fault; None if the guard of the event is false."""
         try:
             if not rt.enabled(event, looking):
                 return None
             return rt.run(self.code, event.effect, self.begin(frame()), event.line)
-        # The guard raised an exception. Run it again as an effect, so that its fault is reported like one of an effect.
+        # The guard raised an exception. Run the guard as if it were an effect, to turn the exception into a fault.
         except Exception:
             return rt.run(self.code, event.guard, self.begin(frame()), event.line)  # type: ignore[arg-type]
 
     def after_init(self, fleet: Packed) -> list[Packed]:
-        """Return all possible fleets after every robot has run `init`.
+        """Return all states of the fleet that are possible after every robot has run `init`.
 
-        Each `init` reads the store as it was before any `init`."""
+        Each robot's `init` reads the shared variables as they were before the first `init`."""
         init = self.code.init
         if init is None:
             return [fleet]
@@ -251,7 +254,7 @@ class Machine:
         return found
 
     def applied(self, fleet: Packed, pid: int, choice: RobotStep) -> Packed:
-        """Return the fleet after one robot's event, with all its writes."""
+        """Return the state of the fleet after the step `choice` of robot `pid`."""
         made = list(fleet)
         made[pid], made[self.n_sys + pid] = choice.own, choice.slots
         if choice.cells != self.nothing:
@@ -259,17 +262,18 @@ class Machine:
         return tuple(made)
 
     def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
-        """Use these classes for the cells of locals in all later runs.
+        """Use special cell classes for some local variables in all later runs of events.
 
-        A cell holds the value of one variable in a transaction."""
+        A cell is the object that holds the value of a variable while an event runs.
+        `cells`: name of the variable -> cell class."""
         self.begin = watching(self.code.begin, cells) if cells else self.code.begin
         self._look = None
 
     def _looking(self, pid: int, robot: PrivateState, seen: Packed, call: Call) -> Any:
         """Return the transaction on which guards are evaluated.
 
-        A guard writes nothing, so one transaction is reused for all guards. Only values that differ are stored in it
-        again."""
+        A guard writes nothing, so all guards use the same transaction object. Only values that changed since the last
+        guard are stored in the object."""
         if self._look is None:
             self._look, self._looked = self.begin(self.frame(pid, robot, seen)), (robot, seen)
         look: Any = self._look
@@ -293,24 +297,24 @@ class Machine:
         return look
 
     def frame(self, pid: int, robot: PrivateState, seen: Packed, call: Call = rt.no_ports) -> rt.Frame:
-        """Return the values that an event of a robot can read."""
+        """Return the values that an event of robot `pid` can read."""
         columns = zip(*[self.slots.values[number] for number in seen[:-1]], strict=True)
         shared = dict(zip(self.allread, columns, strict=True)) if self.allread else {}
         shared |= dict(zip(self.allwrite, self.cells.values[seen[-1]], strict=True))
         return rt.Frame(pid, self.n_sys, robot.locals, shared, robot.sensors, robot.actuators, call)
 
     def own(self, robot: PrivateState) -> int:
-        """Return the number of a private state."""
+        """Return the number of a private state. A new private state is added to the table `owns`."""
         own = tuple([self.key(v.name, robot.locals[v.name]) for v in self.program.locals])
         return self.owns.number((own, self.ports_key(robot), robot.stopped), robot)
 
     def ports_key(self, robot: PrivateState) -> Hashable:
-        """Return a key that differs for different values of a robot's ports."""
+        """Return a hashable key for the values of a robot's ports. Different values have different keys."""
         sensors = [self.key(name, robot.sensors[name]) for name in self.sensors]
         return (*sensors, *[self.key(name, robot.actuators[name]) for name in self.actuators], robot.unset)
 
     def packed(self, state: State) -> Packed:
-        """Return a state of the semantics as a packed fleet. No command may have been given in this state yet."""
+        """Pack a state of the executable semantics in which no robot has given a command yet."""
         robots = [self.own(self._own(robot)) for robot in state.robots]
         slots = [
             self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
@@ -320,7 +324,7 @@ class Machine:
         return (*robots, *slots, self._cell_number(cells))
 
     def state(self, fleet: Packed, number: int = 1) -> State:
-        """Return a packed fleet as a state of the semantics, at the start of round `number`."""
+        """Unpack a packed state to a state of the executable semantics, at the start of round `number`."""
         robots = []
         for own in fleet[: self.n_sys]:
             held = self.owns.values[own]
@@ -335,9 +339,9 @@ class Machine:
         return State(self.params, tuple(robots), Store(slots, self._meant(cells)), number)
 
     def _noted(self, index: int, pid: int, own: int, seen: Packed, done: rt.Effects) -> RobotStep:
-        """Return the step of an event with the effects `done`.
+        """Return the step that an event with the effects `done` makes.
 
-        If a loop invariant was false in the event, it is added to `discards`."""
+        If a loop invariant was false in the event, the event is also added to `discards`."""
         choice = self._choice(index, pid, self.owns.values[own], seen, done)
         for line in done.violated[:1]:
             reason = f"the loop invariant on line {line} is false or has no value"
@@ -373,9 +377,9 @@ class Machine:
         return self.slots.number(tuple(map(self.key, self.allread, values)), values)
 
     def key(self, name: str, value: Any) -> Hashable:
-        """Return a hashable key of a variable's value.
+        """Return a hashable key for the value of a variable.
 
-        A program can distinguish 0.0 from -0.0, which compare equal. So floats are represented by their text."""
+        The key of a value with floats is its text, because 0.0 and -0.0 are equal in Python but differ in a program."""
         key: Hashable = repr(value) if with_floats(self.types[name]) else value
         return key
 
@@ -393,7 +397,7 @@ class Machine:
 
 
 def watching(begin: type[rt.Transaction], cells: Mapping[str, type[rt.Cell[Any]]]) -> type[rt.Transaction]:
-    """Return a subclass of the transaction class `begin` that uses other cell classes for some locals."""
+    """Return a subclass of `begin` that uses special cell classes for some local variables."""
 
     class Watching(begin):  # type: ignore[misc,valid-type]
         def local(self, name: str) -> rt.Cell[Any]:
@@ -412,7 +416,7 @@ def _compiled(program: decl.Program, functions: Path | None) -> dict[str, Any]:
             raise CannotCall(f"{missing}, the file with the extern functions, does not exist")
         load(program, functions)
     name = f"explored{next(_numbers)}"
-    module = sys.modules[name] = ModuleType(name)  # Python resolves the annotations of record classes in this module
+    module = sys.modules[name] = ModuleType(name)  # Python looks up the annotations of record classes in this module
     scope: dict[str, Any] = vars(module)
     scope["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), scope)

@@ -1,8 +1,8 @@
 """Invariants about one robot or a pair of robots, evaluated once for each robot and each pair.
 
-An invariant `forall i in ID: ...` or `forall i, j in ID: ...` whose formula reads no other robot is true of a fleet if
-it is true for each robot and each pair. All such invariants are evaluated together, and the result is stored for each
-robot and pair. Its key consists of their private states, their slots and the allwrite variables.
+Such an invariant has the form `forall i in ID: ...` or `forall i, j in ID: ...`, and its formula reads no other robot.
+It holds in a fleet if the formula is true for each robot and each pair. All these invariants are evaluated together.
+The result is stored under a key: the private states and slots of the robot or pair, and the allwrite variables.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from koordgen.verify.explore.machine import Machine, Packed
 class PairFormula(NamedTuple):
     """A formula about one robot or a pair of robots.
 
-    `names`: the one or two quantified names.
-    `body`: the formula.
+    `names`: the one or two names that the quantifiers bind.
+    `body`: the formula inside the quantifiers.
     `numbers`: whether the formula uses the robots' pids as numbers, not only as indices."""
 
     names: tuple[str, ...]
@@ -30,7 +30,7 @@ class PairFormula(NamedTuple):
 
 
 def pair_formula(formula: ir.Expr) -> PairFormula | None:
-    """Return the parts of a formula about one robot or a pair; None for any other formula."""
+    """Return the names and the body of a formula about one robot or a pair; None for any other formula."""
     names, body = [], formula
     while isinstance(body, ir.Quantified) and body.kind == "forall" and isinstance(body.domain, ir.Ids):
         names.append(body.name)
@@ -58,14 +58,15 @@ def pair_formula(formula: ir.Expr) -> PairFormula | None:
 
 
 class PairInvariants:
-    """Invariants about robots and pairs of robots, compiled for one program.
+    """Invariants of one program about single robots and pairs of robots, compiled to Python functions.
 
-    `take`: stores a fleet's values where compiled formulas read them."""
+    `fleet`: the argument of the compiled functions.
+    `load`: function that stores the values of a fleet's state in `fleet`."""
 
     def __init__(
-        self, machine: Machine, formulas: Sequence[PairFormula], fleet: object, take: Callable[[Packed], None]
+        self, machine: Machine, formulas: Sequence[PairFormula], fleet: object, load: Callable[[Packed], None]
     ) -> None:
-        self._fleet, self._take = fleet, take
+        self._fleet, self._load = fleet, load
         self._numbers = any(f.numbers for f in formulas)
         self._one = [_compiled(f, machine) for f in formulas if len(f.names) == 1]
         self._two = [_compiled(f, machine) for f in formulas if len(f.names) == 2]
@@ -73,7 +74,7 @@ class PairInvariants:
         self._known: dict[Packed, bool] = {}
 
     def hold(self, fleet: Packed) -> bool:
-        """Return whether all of these invariants hold."""
+        """Return whether all invariants of this object hold in a state of the fleet."""
         if not self._one and not self._two:
             return True
         n_sys, known, cells = self._n_sys, self._known, fleet[-1]
@@ -98,13 +99,13 @@ class PairInvariants:
         return True
 
     def _true(self, fleet: Packed, i: int, j: int) -> bool:
-        self._take(fleet)
+        self._load(fleet)
         begin()
         try:
             return (i != j or all(holds(self._fleet, i) for holds in self._one)) and all(
                 holds(self._fleet, i, j) for holds in self._two
             )
-        except Exception:  # an extern function, written by the user, may raise any exception
+        except Exception:  # an extern function is code of the user and may raise any exception
             return False
 
 

@@ -1,21 +1,25 @@
-"""State-space reduction: ignores differences between private states that affect no later step.
+"""Reduction of private states: merges private states whose differences affect no later step.
 
-1. Unread local variables. A local variable is unread if no invariant names it and no event reads a value in it that
-  another event wrote. All other steps are the same for all its values, so the variable is removed from states. Reads
-  are found at run time, not in the text of events: a variable counts as unread until an event reads it, which raises
-  `VariableRead`. Then the variable is kept, and the search restarts.
+First reduction: unread local variables are removed from states.
 
-   An event is idle if it reads and writes only such a variable (a counter that runs down) and belongs to no `priority:`
-   block, whose other events would read its guard. Idle events are left out of rounds. They are run separately on all
-   values that the variable can take, to find faults, and to find out whether they are ever enabled. Other events write
-   values to the variable that do not depend on removed values, so every such value occurs in some robot of the search.
-   2. Robots that can only stop. Each event of such a robot has a false guard or does nothing but `stop`, now and for
-   ever, judged by the robot's locals and own slots alone, which no other robot writes. The robot is represented by one
-   that has already stopped: for each step of one of them, the other one skips its event. In both, all locals that no
-   invariant names are removed.
+- A local variable is unread if no property names it, and no event reads a value that an earlier event wrote to it. The
+  values of an unread variable make no difference to the steps of the program.
+- Reads are detected when events run. An event that reads a removed variable raises `VariableRead`. The variable is then
+  kept in states, and the search restarts.
+- An idle event uses only one removed variable, for example to count down, and stands in no `priority:` block, since the
+  other events of a block depend on its guard. Rounds leave idle events out. Idle events run separately, on all values
+  that the variable can have, to find faults and to find out which idle events are ever enabled. Every value that
+  another event writes to the variable occurs in the search, because it does not depend on removed values.
 
-Both reductions preserve the number of rounds to any violation. They do not preserve deadlocks, since a robot that is
-represented by a stopped one may still have an event. So if a deadlock is found, the search restarts without reductions.
+Second reduction: a robot that can only stop is represented by a stopped robot.
+
+- Each event of such a robot has a false guard or does nothing but `stop`, now and in all later rounds. This is decided
+  from the robot's locals, actuators and own slots, which no other robot writes.
+- For each step of the one robot, the other robot can skip its event. Locals that no property names are removed from
+  the states of both robots.
+
+Both reductions preserve the number of rounds to any violation. They do not preserve deadlocks, since a robot that can
+only stop still has an enabled event. So the search restarts without reductions if it finds a deadlock.
 """
 
 from __future__ import annotations
@@ -29,21 +33,21 @@ from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program import program as rt
 from koordgen.verify.explore.machine import Interned, Machine, Packed, PrivateState
 
-MAX_TRIED = 10_000  # largest number of values of one variable on which idle events are run
+MAX_TRIED = 10_000  # largest number of pairs of a removed variable and a value on which idle events run
 
 
 class VariableRead(BaseException):
-    """Raised if an event reads a variable that counted as unread.
+    """Raised if an event reads a local variable that is removed from states.
 
-    It is a BaseException, because generated code reports any Exception as a fault of the event."""
+    This class is a BaseException, because generated code turns every Exception into a fault of the event."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.name = name
 
 
-class _Others(BaseException):
-    """Raised if an event reads more than its robot's locals, actuators and own slots."""
+class _ForeignRead(BaseException):
+    """Raised if an event reads a variable that other robots can write, or another robot's slot."""
 
 
 class _Hidden(rt.Cell[Any]):
@@ -51,11 +55,11 @@ class _Hidden(rt.Cell[Any]):
 
     @property
     def value(self) -> Any:
-        raise _Others
+        raise _ForeignRead
 
     @value.setter
     def value(self, value: Any) -> None:
-        raise _Others
+        raise _ForeignRead
 
 
 class _OwnSlots(rt.Slots[Any]):
@@ -63,17 +67,17 @@ class _OwnSlots(rt.Slots[Any]):
 
     def __getitem__(self, index: int) -> Any:
         if index != self._pid:
-            raise _Others
+            raise _ForeignRead
         return super().__getitem__(index)
 
     @property
     def all(self) -> tuple[Any, ...]:
-        raise _Others
+        raise _ForeignRead
 
 
 @cache
 def unread_cell(name: str) -> type[rt.Cell[Any]]:
-    """Return a class of cells that raise VariableRead if an event reads them before it writes them."""
+    """Return a cell class for variable `name` that raises VariableRead on a read before the first write."""
 
     class Watched(rt.Cell[Any]):
         __slots__ = ()
@@ -88,9 +92,10 @@ def unread_cell(name: str) -> type[rt.Cell[Any]]:
 
 
 def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt.Transaction]:
-    """Return a subclass of the transaction class `begin` that shows only one robot's own variables.
+    """Return a subclass of `begin` in which an event can read only the variables of its own robot.
 
-    These are the robot's locals, actuators and own slots. `sensors` names the attributes that the subclass removes."""
+    These are the robot's locals, actuators and own slots. Reads of other variables raise an exception.
+    `sensors`: names of the attributes with sensor values, which the subclass removes."""
 
     class Alone(begin):  # type: ignore[misc,valid-type]
         def __init__(self, frame: rt.Frame) -> None:
@@ -111,10 +116,10 @@ def restricted(begin: type[rt.Transaction], sensors: Collection[str]) -> type[rt
 
 
 class StateReduction:
-    """State-space reduction for the fleets of one program.
+    """Reduction of the private states of one program's robots.
 
     `locals`: names of the local variables that are removed from states.
-    `idle`: indices of the events that use only a removed variable."""
+    `idle`: indices of the idle events, which use only one removed variable."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -124,43 +129,45 @@ class StateReduction:
         guards = {node.name for e in program.events for node in walk(e.guard) if isinstance(node, expr.LocalRead)}
         restricted = [_only_variable(event) for event in program.events]
         unread = [v.name for v in program.locals if v.name not in named]
-        self._take([name for name in unread if name not in guards or name in restricted])
+        self._set_removed([name for name in unread if name not in guards or name in restricted])
 
     def keep(self, name: str) -> None:
-        """Stop removing a variable from states, because an event reads it."""
-        self._take([other for other in self.locals if other != name])
+        """Stop removing the variable `name` from states, because an event has read the variable."""
+        self._set_removed([other for other in self.locals if other != name])
 
-    def _take(self, names: list[str]) -> None:
+    def _set_removed(self, names: list[str]) -> None:
         self.locals = tuple(names)
         events = enumerate(self.machine.program.events)
-        self._turning = {index: name for index, event in events if (name := _only_variable(event)) in names and name}
-        self.idle = frozenset(self._turning)
+        self._idle_variables = {
+            index: name for index, event in events if (name := _only_variable(event)) in names and name
+        }
+        self.idle = frozenset(self._idle_variables)
         self._kept = tuple([v.name for v in self.machine.program.locals if v.name not in names])
-        self._standing: dict[tuple[int, int, int], int] = {}
+        self._representatives: dict[tuple[int, int, int], int] = {}
         self._alike: Interned[int] = Interned()
         self._tried: set[Hashable] = set()
         self.machine.watch({name: unread_cell(name) for name in names})
         self._alone = restricted(self.machine.begin, self.machine.sensor_attributes.values())
 
     def fleet(self, fleet: Packed) -> Packed:
-        """Return the fleet that represents the given fleet."""
+        """Replace the private state of each robot in a fleet's state by its representative."""
         n_sys, seen = self.machine.n_sys, fleet[self.machine.n_sys :]
         return (*[self.own(pid, fleet[pid], seen) for pid in range(n_sys)], *seen)
 
     def own(self, pid: int, own: int, seen: Packed) -> int:
-        """Return the number of the private state that represents the given one.
+        """Return the number of the private state that represents the private state `own` of robot `pid`.
 
-        It depends on the store only through the robot's own slots."""
+        The result depends on the robot's own slots, but on no other shared variable."""
         key = (pid, own, seen[pid])
-        found = self._standing.get(key)
+        found = self._representatives.get(key)
         if found is None:
-            found = self._standing[key] = self._stands(pid, own, seen)
+            found = self._representatives[key] = self._representative(pid, own, seen)
         return found
 
-    def _stands(self, pid: int, own: int, seen: Packed) -> int:
+    def _representative(self, pid: int, own: int, seen: Packed) -> int:
         machine = self.machine
         robot = machine.owns.values[own]
-        self._turn(pid, robot, seen)
+        self._run_idle_events(pid, robot, seen)
         stopped = robot.stopped or self._finished(pid, robot, seen)
         names = self._named if stopped else self._kept
         key = (*[machine.key(name, robot.locals[name]) for name in names], machine.ports_key(robot), stopped)
@@ -168,14 +175,14 @@ class StateReduction:
             own = machine.own(robot._replace(stopped=True))
         return self._alike.values[self._alike.number(key, own)]
 
-    def _turn(self, pid: int, robot: PrivateState, seen: Packed) -> None:
-        """Run the idle events on all values that their variables can take from the robot's present values."""
+    def _run_idle_events(self, pid: int, robot: PrivateState, seen: Packed) -> None:
+        """Run the idle events on the present values of their variables, and on all values that they write."""
         machine, code = self.machine, self.machine.code
         if robot.stopped:
             return
-        for name in set(self._turning.values()):
+        for name in set(self._idle_variables.values()):
             pending = [robot.locals[name]]
-            for value in pending:  # the loop itself appends to this list
+            for value in pending:  # the loop body appends to `pending`
                 key = (name, machine.key(name, value))
                 if key in self._tried:
                     continue
@@ -183,12 +190,12 @@ class StateReduction:
                 if len(self._tried) > MAX_TRIED:
                     raise VariableRead(name)
                 frame = machine.frame(pid, robot._replace(locals={**robot.locals, name: value}), seen)
-                for index in [index for index, turning in self._turning.items() if turning == name]:
+                for index in [index for index, turning in self._idle_variables.items() if turning == name]:
                     event = code.events[index]
                     try:
                         ready = rt.enabled(event, code.begin(frame))
                         done = rt.run(code, event.effect, code.begin(frame)) if ready else None
-                    except Exception:  # the guard has a fault, so keep the variable: the search then reports the fault
+                    except Exception:  # the guard has a fault: keep the variable, so that the search reports the fault
                         raise VariableRead(name) from None
                     if isinstance(done, rt.Fault) or (done is not None and done.violated):
                         raise VariableRead(name)
@@ -197,7 +204,7 @@ class StateReduction:
                         pending.append(done.locals[name])
 
     def _finished(self, pid: int, robot: PrivateState, seen: Packed) -> bool:
-        """Return whether a robot will do nothing but stop, whatever other robots do."""
+        """Return whether a robot can do nothing but stop, now and later, whatever other robots do."""
         machine, code = self.machine, self.machine.code
         frame = machine.frame(pid, robot, seen)
         stopping = []
@@ -208,9 +215,9 @@ class StateReduction:
                 if not rt.enabled(event, self._alone(frame)):
                     continue
                 if any(code.events[earlier].guard(self._alone(frame)) for earlier in machine.earlier[index]):
-                    continue  # the event with priority also does nothing but stop, now and for ever
+                    continue  # a higher event of the `priority:` block runs instead; the loop also checks that event
                 done = rt.run(code, event.effect, self._alone(frame))
-            except (Exception, VariableRead, _Others):
+            except (Exception, VariableRead, _ForeignRead):
                 return False
             if not isinstance(done, rt.Effects) or done.violated or not done.stopped or done.shared or done.actuators:
                 return False
@@ -222,9 +229,9 @@ class StateReduction:
 
 
 def _only_variable(event: decl.Event) -> str | None:
-    """Return the only variable that an event uses; None for an event that uses more.
+    """Return the name of the one local variable that an event uses; None if the event uses more.
 
-    None, too, for an event that is atomic or belongs to a `priority:` block."""
+    Also returns None for an atomic event and for an event in a `priority:` block."""
     names, parts = set(), (event.guard, event.effect)
     for node in walk(parts):
         match node:

@@ -1,13 +1,13 @@
-"""Possible results of one round's events, in every order of events that can make a difference.
+"""Results of one round: the states of the fleet after every order of events that can matter.
 
-Partial-order reduction. A plain event reads the store of the round's start, so its position in the round does not
-matter for what it reads. Two events of two robots commute except in two cases: both write the same allwrite variable;
-or one of them is atomic and reads what the other writes. (A slot has only one writer.) The guards of events with
-priority are read at the round's start, so they conflict with nothing.
+Partial-order reduction: orders of events that surely lead to the same state are tried only once. Two events of two
+robots conflict in two cases: both write the same allwrite variable, or one event is atomic and reads a variable that
+the other event writes. All other events commute. A plain event reads the shared variables as they were at the start of
+the round. A slot has only one writer. Guards that decide priority are read at the start of the round.
 
-Events that commute with all others form the first phase, in which robots step by ascending pid. The other events form
-one phase for each group that is connected by conflicts; in such a phase every order is tried. Exchanging neighbours
-that commute turns any order of a round into an order of phases, so no result is lost.
+Events that commute with all events form the first phase, in which robots step by ascending pid. Each group of events
+that conflicts connect forms a later phase, in which every order of robots is tried. Swapping neighbours that commute
+turns any order of events into an order of phases, so no result is lost.
 """
 
 from __future__ import annotations
@@ -19,18 +19,20 @@ from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.explore.machine import Machine, Packed, RobotStep
 
-Node = tuple[int, Packed]  # bit mask of the robots that have run an event, and the fleet after these events
-Predecessor = tuple[Node, int, int]  # (node before the step, pid, event) of the step that led to a node
+# bit mask of the robots that have run an event, and the state of the fleet after these events
+Node = tuple[int, Packed]
+# step that led to a node: (node before the step, pid of the robot, index of the event)
+Predecessor = tuple[Node, int, int]
 
 
 class EventPhase(NamedTuple):
     """Events of one phase, by index.
 
-    `alone`: events whose only shared variables are their robot's own slots.
-    `plain`: all other plain events.
-    `atomic`: all other atomic events.
+    `alone`: events that read no shared variables except the slots of the robot that runs the event.
+    `plain`: plain events that are not in `alone`.
+    `atomic`: atomic events that are not in `alone`.
     `ordered`: whether the order of robots makes a difference, so that every order is tried.
-    `ranked`: whether some event comes after another one in its `priority:` block."""
+    `ranked`: whether another event has priority over an event of this phase, by a `priority:` block."""
 
     alone: tuple[int, ...]
     plain: tuple[int, ...]
@@ -40,9 +42,10 @@ class EventPhase(NamedTuple):
 
 
 def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
-    """Return all events except `idle` ones, in phases that commute with one another.
+    """Group the events of a program, except the events in `idle`, into the phases of a round.
 
-    Without `independence` (partial-order reduction), all events are in one phase, in which every order is tried."""
+    Events of different phases commute. `independence`: whether the partial-order reduction is used. Without it, one
+    phase contains all events, and every order of the robots is tried."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
         return (_phase(program, events, True),) if events else ()
@@ -87,7 +90,9 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
 
 
 def _access(event: decl.Event) -> tuple[set[str], set[str]]:
-    """Return the shared variables that an event reads when it runs, and those that it may write."""
+    """Return the shared variables that an event reads when it runs, and the variables that it may write.
+
+    A plain event reads all variables as of the start of the round, so the first set of a plain event is empty."""
     reads, writes = set(), set()
     for node in walk((event.guard, event.effect)):
         match node:
@@ -101,12 +106,13 @@ def _access(event: decl.Event) -> tuple[set[str], set[str]]:
 
 
 class RoundExplorer:
-    """Explorer of the rounds of one program.
+    """Explorer of single rounds of one program.
 
-    `alike`: the program treats all robots alike. Then a robot's possible steps are computed once for all orders of the
-        other robots' slots; otherwise once for each store.
-    `representative`: returns the number of the private state that represents a robot's state after its step. Its
-        arguments are the pid, the private state and the store. No robot reads that state before the round's end.
+    `alike`: whether the program treats all robots alike. If so, the possible steps of a robot are computed once for all
+        orders of the other robots' slots.
+    `representative`: function that replaces a robot's private state after its step by the private state that represents
+        it in the search. Arguments: the pid, the number of the private state, and the shared variables. No robot reads
+        the replaced state before the end of the round.
     `as_agents`: explore only rounds that agents can execute (`is_order_of_agents` of the semantics)."""
 
     def __init__(
@@ -120,10 +126,10 @@ class RoundExplorer:
         self._alone: dict[Packed, tuple[RobotStep, ...]] = {}
 
     def ends(self, fleet: Packed) -> Collection[Node]:
-        """Return every possible result of a round's events, each with the robots that ran an event.
+        """Return every possible result of a round that starts in the state `fleet`.
 
-        A robot may skip its event. The first result is the one in which all robots skip. Every fleet within the round
-        is among the results, since the remaining robots may skip."""
+        A result names the robots that ran an event. In the first result, all robots skip. Any robot may skip, so the
+        state after each step within the round is also a result of the round."""
         if self.as_agents:
             return self.ends_with_predecessors(fleet)
         found: list[Node] = [(0, fleet)]
@@ -136,8 +142,8 @@ class RoundExplorer:
                 for pid in range(n_sys):
                     found += self._of_one(found, number, pid, begun)
             else:
-                # in this phase, a robot that has not run an event has the same state and reads the same store as at the
-                # round's start
+                # a robot that has not run an event in this round still has its private state of the round's start, and
+                # plain events read the shared variables of the round's start
                 for pid in range(n_sys):
                     if choices := self._choices(number, pid, fleet, begun):
                         found += self._all_of_one(found, pid, choices)
@@ -168,7 +174,7 @@ class RoundExplorer:
         seen = dict.fromkeys(found)
         pending = list(seen)
         robots = range(self.machine.n_sys)
-        for mask, at in pending:  # the loop itself appends to this list
+        for mask, at in pending:  # the loop body appends to `pending`
             for pid in robots:
                 if not mask >> pid & 1:
                     for choice in self._choices(number, pid, at, begun):
@@ -179,15 +185,17 @@ class RoundExplorer:
         return pending
 
     def ends_with_predecessors(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return every possible result of a round's events, with the step that led to it; None for no step."""
+        """Return all possible results of a round from the state `fleet`, each with the step that led to it.
+
+        None stands for no step: the result in which all robots skip."""
         if self.as_agents:
-            return self._ways_of_agents(fleet)
+            return self._ends_of_agents(fleet)
         found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[self.machine.n_sys :]
         for number, phase in enumerate(self.phases):
             if phase.ordered:
                 pending = list(found)
-                for node in pending:  # the loop itself appends to this list
+                for node in pending:  # the loop body appends to `pending`
                     for pid in range(self.machine.n_sys):
                         pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
             else:
@@ -196,11 +204,12 @@ class RoundExplorer:
                         self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
         return found
 
-    def _ways_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
-        """Return the possible results of a round in the order of agents, each with the step that led to it.
+    def _ends_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
+        """Return the results of a round for all orders that agents execute, with the last step of each result.
 
-        Commits come first, at most one for each lock, then plain events by ascending pid. All events read the store of
-        the round's start: no commit writes a variable that a commit under another lock reads."""
+        Agents first commit transactions, at most one for each lock, then run plain events by ascending pid. All events
+        read the shared variables of the round's start. This is exact, because no transaction writes a variable that a
+        transaction under another lock reads."""
         machine, events = self.machine, self.machine.program.events
         found: dict[Node, Predecessor | None] = {(0, fleet): None}
         begun = fleet[machine.n_sys :]
@@ -220,9 +229,9 @@ class RoundExplorer:
     def _stepped(
         self, found: dict[Node, Predecessor | None], pid: int, node: Node, choices: tuple[RobotStep, ...]
     ) -> list[Node]:
-        """Apply a robot's possible steps to a node, unless the robot has already run an event.
+        """Add the nodes that the steps `choices` of a robot lead to from a node, and return the new nodes.
 
-        Return the new nodes."""
+        A robot that has already run an event in the round makes no further step."""
         mask, fleet = node
         if mask >> pid & 1:
             return []
@@ -292,7 +301,7 @@ class RoundExplorer:
         found = self.machine.choices(events, pid, own, seen)
         if self.representative is not None:
             found = tuple([c._replace(own=self.representative(pid, c.own, _with(seen, pid, c.slots))) for c in found])
-        # a result with discarded events is not stored, so that they are recorded each time
+        # do not store results with discarded events, so that `Machine.discards` records these events each time
         if len(self.machine.discards) == discards:
             known[key] = found
         return found
@@ -307,9 +316,9 @@ def _with(seen: Packed, pid: int, slots: int) -> Packed:
 
 
 def steps_to(found: dict[Node, Predecessor | None], node: Node) -> list[tuple[int, int, Packed]]:
-    """Return the steps of a round that lead to a node, in their order.
+    """Return the steps of a round that lead to a node, in the order of execution.
 
-    A step consists of the pid, the event's index and the fleet afterwards."""
+    A step consists of the pid of the robot, the index of the event, and the state of the fleet after the event."""
     taken: list[tuple[int, int, Packed]] = []
     while (came := found[node]) is not None:
         before, pid, event = came

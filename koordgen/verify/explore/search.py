@@ -1,6 +1,6 @@
-"""Breadth-first search of the state space, round by round.
+"""Breadth-first search of all states that a fleet can reach, round by round.
 
-So the first violation that is found has the fewest rounds.
+Because of this order, the first violation that the search finds has the fewest rounds.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from koordgen.verify.prove.report.model import Conjunct, failing_conjunct
 from koordgen.verify.prove.report.reach import RunState
 
 WELL_DEFINED, DEADLOCK = "(well-defined)", "(deadlock)"
-LOOP = "line "  # prefix of the name of a loop invariant, followed by its line
-SHOWN = 0.25  # seconds between two reports of the progress
+LOOP = "line "  # prefix in the name of a violated loop invariant; the number of its line follows
+SHOWN = 0.25  # seconds between two progress reports
 
 
 class ExplorationBounds(NamedTuple):
-    """Limits of an exploration; None: no limit."""
+    """Limits of an exploration. None means that there is no limit."""
 
     rounds: int | None = None
     states: int | None = None
@@ -42,9 +42,9 @@ class ExplorationProgress(NamedTuple):
 
     `depth`: number of rounds up to which all states are explored.
     `states`: number of different states at the ends of rounds.
-    `waiting`: number of these states whose next round is not explored yet.
+    `waiting`: number of states in `states` whose next round is not explored yet.
     `steps`: number of program steps taken.
-    `seconds`: time spent."""
+    `seconds`: seconds since the start of the exploration."""
 
     depth: int
     states: int
@@ -54,14 +54,14 @@ class ExplorationProgress(NamedTuple):
 
 
 class FoundViolation(NamedTuple):
-    """Violation with the run that leads to it.
+    """Violation of a property, with a run that leads to the violation.
 
-    `name`: the violated property: an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK.
-    `failed`: the conjunct of an invariant that is false in the last state; None for other violations.
-    `reason`: explains the violation if `failed` is None.
-    `culprit`: the event (or `init`) that would come next but has no result, if this is the violation.
-    `of_agents`: whether agents can execute each round (`is_order_of_agents`).
-    `shortest`: number of rounds of the shortest run in the language, if agents need more rounds."""
+    `name`: the violated property: the name of an invariant, LOOP with a line, WELL_DEFINED or DEADLOCK.
+    `failed`: the conjunct of the invariant that is false in the last state; None if no invariant is violated.
+    `reason`: explanation of the violation if `failed` is None.
+    `culprit`: the event (or `init`) without a result, in the state in which it runs; None for other violations.
+    `of_agents`: whether agents can execute every round of the run (`is_order_of_agents` of the semantics).
+    `shortest`: number of rounds of the shortest run that the language allows; None if `run_states` is this short."""
 
     name: str
     line: int
@@ -78,9 +78,9 @@ class ExplorationResult(NamedTuple):
 
     `stopped`: the reason why the exploration ended early; empty if everything was explored.
     `unseen`: events that were never enabled.
-    `unchecked`: invariants that cannot be evaluated.
-    `apart`: the reason why symmetry is not used; empty if it is used.
-    `forgotten`: local variables that are removed from states because no event reads them."""
+    `unchecked`: names of the invariants that cannot be evaluated.
+    `apart`: the reason why the symmetry reduction is off; empty if the reduction is on.
+    `forgotten`: names of the local variables that are removed from states because no event reads them."""
 
     violation: FoundViolation | None
     progress: ExplorationProgress
@@ -92,21 +92,22 @@ class ExplorationResult(NamedTuple):
 
 
 class _Restart(Exception):
-    """Raised to restart the search with fewer reductions."""
+    """Raised to restart the search without the reduction of private states."""
 
 
 class _LimitReached(Exception):
-    """Raised if a limit is reached; the message names the limit."""
+    """Raised if the exploration reaches a limit. The message names the limit."""
 
 
 class Search:
-    """One exploration.
+    """One exploration of a program.
 
-    `clock`: returns the time in seconds.
-    `show`: receives the progress from time to time.
-    `as_agents`: explore only rounds that agents can execute. The order of pids then makes a difference, and the guard
-        of every event can prevent later ones, so neither symmetry nor the reduction of private states is used. `run`
-        raises MissingEnvironment."""
+    `clock`: function that returns the time in seconds.
+    `show`: function that is called with the progress at intervals of more than SHOWN seconds.
+    `as_agents`: explore only rounds that agents can execute. In these rounds, the order of pids matters, and the guard
+        of an event can prevent all later events. So symmetry and the reduction of private states are off.
+
+    `run` raises MissingEnvironment."""
 
     def __init__(
         self, machine: Machine, around: EnvironmentSteps, bounds: ExplorationBounds, clock: Callable[[], float],
@@ -122,27 +123,29 @@ class Search:
         self._fresh()
 
     def _fresh(self) -> None:
-        """Discard everything that was explored, before the search starts or restarts."""
+        """Discard all explored states. The search then starts from the beginning."""
         idle, representative = (self.forgetting.idle, self.forgetting.own) if self.forgetting else ((), None)
         self.rounds = RoundExplorer(
             self.machine, self.independence, idle, not self.apart, representative, self.as_agents
         )
-        # explorer without reductions, used to construct the runs that are shown
+        # explorer without representatives of private states; it constructs the runs that are shown to users
         self.exact = RoundExplorer(self.machine, self.independence, idle, as_agents=self.as_agents)
         # state at the end of a round -> its predecessor at the end of the previous round
         self.known: dict[Packed, Packed | None] = {}
-        # states after a round's events, before the environment's step, that were explored
+        # explored states within a round: after all events, before the environment's step
         self.within: set[Packed] = set()
-        self.begin: dict[Packed, Packed] = {}  # state after `init` -> the state before `init`
-        # private states -> their representatives after the environment's step
+        # State after `init` -> state before `init`.
+        self.begin: dict[Packed, Packed] = {}
+        # (pid, private state, own slots) -> representatives of the possible private states after the environment's step
         self._then: dict[Packed, tuple[int, ...]] = {}
-        self.live: set[Packed] = set()  # states without an enabled event from which some event can become enabled later
+        # states in which no event is enabled now, but some event can become enabled later
+        self.live: set[Packed] = set()
         self.stuck = 0
         self.steps = self.depth = 0
         self.waiting = 0
 
     def run(self) -> ExplorationResult:
-        """Explore until everything is explored, a violation is found, or a limit is reached."""
+        """Explore until all states are explored, a violation is found, or a limit is reached."""
         self.started = self.shown = self.clock()
         violation, stopped = None, ""
         try:
@@ -161,7 +164,7 @@ class Search:
         return ExplorationResult(violation, self.progress(), stopped, tuple(unseen), unchecked, self.apart, forgotten)
 
     def _settled(self) -> tuple[FoundViolation | None, str]:
-        """Repeat the search with fewer reductions until no reduction proves wrong."""
+        """Run the search, and repeat it with fewer reductions whenever a reduction does not apply."""
         while True:
             try:
                 return self._explored()
@@ -194,7 +197,7 @@ class Search:
             return None, "no state satisfies `initially`"
         while layer:
             if self.depth == self.bounds.rounds:
-                return None, f"the bound of {self.depth} round{'s' * (self.depth != 1)}"
+                return None, f"the limit of {self.depth} round{'s' * (self.depth != 1)}"
             following: list[Packed] = []
             for number, fleet in enumerate(layer):
                 self.waiting = len(layer) - number + len(following)
@@ -207,7 +210,7 @@ class Search:
         return None, ""
 
     def _round(self, fleet: Packed, following: list[Packed]) -> FoundViolation | None:
-        """Explore one round from one state, and append new states to `following`."""
+        """Explore one round from the state `fleet`, and append the newly found states to `following`."""
         found = self.rounds.ends(fleet)
         self.steps += len(found) - 1
         if self.machine.discards:
@@ -237,17 +240,17 @@ class Search:
         return None
 
     def alike(self, fleet: Packed) -> Packed:
-        """Return the fleet that represents the given fleet under symmetry and reduction."""
+        """Return the representative of the state `fleet`, by symmetry and the reduction of private states."""
         return self._sorted(self.forgetting.fleet(fleet) if self.forgetting else fleet)
 
     def _moved(self, end: Packed) -> Iterator[Packed]:
-        """Return the representatives of the fleets after the environment's step."""
+        """Return the representatives of all states that are possible after the environment's step."""
         if self.forgetting is None or not self.machine.sensors:
             return self.around.moved(end)
         n_sys, seen = self.machine.n_sys, end[self.machine.n_sys :]
-        return (owns + seen for owns in product(*[self._stands_then(pid, end[pid], seen) for pid in range(n_sys)]))
+        return (owns + seen for owns in product(*[self._moved_robot(pid, end[pid], seen) for pid in range(n_sys)]))
 
-    def _stands_then(self, pid: int, own: int, seen: Packed) -> tuple[int, ...]:
+    def _moved_robot(self, pid: int, own: int, seen: Packed) -> tuple[int, ...]:
         key = (pid, own, seen[pid])
         found = self._then.get(key)
         if found is None:
@@ -260,7 +263,7 @@ class Search:
         return fleet if self.apart else sorted_robots(fleet)
 
     def _starts(self) -> Iterator[tuple[Packed, Packed]]:
-        """Yield pairs of a fleet before `init` and one after it."""
+        """Yield pairs of start states: a state before `init`, and a state that is possible after `init`."""
         program, machine = self.machine.program, self.machine
         rules = [p for p in program.properties if p.kind == "initially"]
         for sensors in self.around.starts():
@@ -275,7 +278,7 @@ class Search:
                 yield from [(before, after) for after in after_init] if not machine.discards else [(before, before)]
 
     def _look(self) -> None:
-        """Report the progress if a report is due. Raises _LimitReached."""
+        """Report the progress if a report is due, and raise _LimitReached if a limit is reached."""
         now = self.clock()
         if now > self.shown + SHOWN:
             self.shown = now
@@ -283,23 +286,23 @@ class Search:
         if self.bounds.seconds is not None and now - self.started > self.bounds.seconds:
             raise _LimitReached(self._bound_of_time())
         if self.bounds.states is not None and len(self.known) > self.bounds.states:
-            raise _LimitReached(f"the bound of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
+            raise _LimitReached(f"the limit of {self.bounds.states} state{'s' * (self.bounds.states != 1)}")
 
     def _bound_of_time(self) -> str:
-        return f"the bound of {self.bounds.seconds or 0:g} s"
+        return f"the time limit of {self.bounds.seconds or 0:g} s"
 
     def _dead(self, fleet: Packed) -> bool:
-        """Return whether the fleet is deadlocked.
+        """Return whether the state `fleet` is a deadlock.
 
-        A fleet is deadlocked if some robot has not stopped, but no event will ever be enabled, whatever the environment
+        In a deadlock, at least one robot has not stopped, but no event will ever be enabled, whatever the environment
         does."""
         owns = self.machine.owns.values
         if all(owns[own].stopped for own in fleet[: self.machine.n_sys]):
             return False
         seen, pending = {fleet}, [fleet]
-        for state in pending:  # the loop itself appends to this list
+        for state in pending:  # the loop body appends to `pending`
             if state in self.live or len(self.rounds.ends(state)) > 1 or self.machine.discards:
-                # these events are discarded again, and reported, when the round of this state is explored
+                # the search will discard these events again and report them, when it explores the round from `state`
                 self.machine.discards.clear()
                 self.live.add(fleet)
                 return False
@@ -309,13 +312,13 @@ class Search:
         return True
 
     def _run_to(self, fleet: Packed) -> list[RunState]:
-        """Return a run to a state at the end of a round. Its states are real fleets, not representatives."""
-        return self._way_to(fleet)[0]
+        """Return a run to a state at the end of a round. The run consists of real states, not representatives."""
+        return self._run_and_end(fleet)[0]
 
-    def _way_to(self, fleet: Packed) -> tuple[list[RunState], Packed]:
-        """Return a run to a state at the end of a round, and the fleet in which this run ends.
+    def _run_and_end(self, fleet: Packed) -> tuple[list[RunState], Packed]:
+        """Return a run to a state at the end of a round, and the real state in which the run ends.
 
-        Representatives are replaced by real fleets."""
+        A real state is a state of the run, not the representative `fleet` that stands for it in the search."""
         chain = [fleet]
         while (parent := self.known[chain[-1]]) is not None:
             chain.append(parent)
@@ -330,14 +333,14 @@ class Search:
         return run_states, at
 
     def _step_to(self, run_states: list[RunState], at: Packed, target: Packed, number: int) -> Packed:
-        """Append one round to a run, so that it leads to a fleet with the representative `target`.
+        """Append one round to a run, so that the run leads to a state with the representative `target`.
 
-        Return this fleet."""
+        Return the state to which the run then leads."""
         found = self.exact.ends_with_predecessors(at)
         for node in sorted(found, key=lambda node: node[0].bit_count()):
             for moved in self.around.moved(node[1]):
                 if self.alike(moved) == target:
-                    run_states += self._taken(found, node, number)
+                    run_states += self._steps_taken(found, node, number)
                     if self.machine.sensors:
                         run_states.append(
                             RunState(self.machine.state(moved, number + 1), "(environment)", None, number)
@@ -346,58 +349,60 @@ class Search:
         raise InternalError("an explored state cannot be reached from its predecessor")
 
     def _within(self, fleet: Packed, end: Packed) -> list[RunState]:
-        """Return a run that ends after the events of the round from `fleet`, in a fleet represented by `end`."""
-        run_states, at = self._way_to(fleet)
+        """Return a run whose last round starts in `fleet` and stops before the environment's step.
+
+        `end` represents the last state of the run."""
+        run_states, at = self._run_and_end(fleet)
         number = run_states[-1].round + 1
         found = self.exact.ends_with_predecessors(at)
         node = min((n for n in found if self.alike(n[1]) == end), key=lambda node: node[0].bit_count())
-        return [*run_states, *self._taken(found, node, number)]
+        return [*run_states, *self._steps_taken(found, node, number)]
 
-    def _taken(self, found: dict[Node, Predecessor | None], node: Node, number: int) -> Iterator[RunState]:
+    def _steps_taken(self, found: dict[Node, Predecessor | None], node: Node, number: int) -> Iterator[RunState]:
         for pid, event, fleet in steps_to(found, node):
             yield RunState(self.machine.state(fleet, number), self.machine.program.events[event].name, pid, number)
 
     def _false_in(self, found: DiscardedEvent, choice: RobotStep, event: str, at: Packed, number: int) -> RunState:
-        """Return the state after an event in which a loop invariant is false."""
+        """Return the state of the run after an event in which a loop invariant is false."""
         machine = self.machine
-        if found.event < 0:  # all other robots run `init` as well
+        if found.event < 0:  # look for the state after all robots have run `init`
             after_init = next(fleet for fleet in machine.after_init(at) if fleet[found.pid] == choice.own)
             return RunState(machine.state(after_init), event, None, 0)
         return RunState(machine.state(machine.applied(at, found.pid, choice), number), event, found.pid, number)
 
     def _broken(self, run_states: list[RunState]) -> FoundViolation:
-        """Return the violation of the invariant that is false in the last state of a run.
+        """Return the violation of the first invariant that is false in the last state of a run.
 
         The executable semantics decides which conjunct is false."""
         program, state = self.machine.program, run_states[-1].state
         for property_ in self.invariants.properties:
             if failed := failing_conjunct(property_, program, state):
                 return FoundViolation(property_.name, property_.span.line, tuple(run_states), failed, "")
-        raise InternalError("an invariant is false as compiled, and true by the executable semantics")
+        raise InternalError("a compiled invariant is false, but all invariants are true by the executable semantics")
 
     def _discarded_in(self, fleet: Packed) -> FoundViolation:
-        """Return the violation for an event without a result, in a round from `fleet`.
+        """Return the violation that an event without a result causes in the round from the state `fleet`.
 
-        The round is explored again from a real fleet, not a representative."""
-        run_states, at = self._way_to(fleet)
+        `fleet` can be a representative, so the round is explored again from the real state of a run."""
+        run_states, at = self._run_and_end(fleet)
         number = run_states[-1].round + 1
         self.machine.discards.clear()
         found = self.exact.ends_with_predecessors(at)
         discard, n_sys, number = self.machine.discards[0], self.machine.n_sys, run_states[-1].round + 1
-        # an atomic event reads what other robots wrote in this round
+        # an atomic event reads the writes of other robots in this round
         if self.machine.program.events[discard.event].lock is not None:
             there = [n for n in found if n[1][discard.pid] == discard.own and n[1][n_sys:] == discard.seen]
             node = min(there, key=lambda node: node[0].bit_count())
-            run_states += self._taken(found, node, number)
+            run_states += self._steps_taken(found, node, number)
             at = node[1]
         return self._discarded(discard, run_states, at, number)
 
     def _discarded(self, found: DiscardedEvent, run_states: list[RunState], at: Packed, number: int) -> FoundViolation:
-        """Return the violation for a discarded event, or one with a false loop invariant.
+        """Return the violation that a discarded event, or an event with a false loop invariant, causes.
 
-        `at`: the fleet in which the event runs.
-        `number`: the round.
-        `run_states`: the run to this round."""
+        `at`: the state in which the event runs.
+        `number`: the number of the round in which the event runs.
+        `run_states`: the run to the state `at`."""
         event = self.machine.program.events[found.event].name if found.event >= 0 else "init"
         if found.choice is not None:
             run_states.append(self._false_in(found, found.choice, event, at, number))

@@ -1,4 +1,4 @@
-"""Result of an exploration as text, as data, and as files for other tools."""
+"""Output of an exploration's result: text, JSON data, and files for other tools."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 
 
 def verdict(result: ExplorationResult) -> str:
-    """Return the verdict: VIOLATED, INCONCLUSIVE or HOLDS."""
+    """Return the verdict of an exploration: VIOLATED, INCONCLUSIVE or HOLDS."""
     if result.violation is not None:
         return "VIOLATED"
     return "INCONCLUSIVE" if result.stopped else "HOLDS"
 
 
 def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: int) -> str:
-    """Return the text for people, at most 100 columns wide."""
+    """Return the result of an exploration as text for a terminal, at most 100 columns wide."""
     lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result)}"]
     lines += _wrapped(f"{_explored(result)}; {progress_text(result.progress)}")
     if result.violation is not None:
@@ -57,7 +57,7 @@ def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: i
 
 
 def progress_text(progress: ExplorationProgress) -> str:
-    """Return the progress as text: states, steps, seconds."""
+    """Return the progress of an exploration as text: states, steps and seconds."""
     waiting = f"{progress.waiting} of them waiting, " if progress.waiting else ""
     states = f"{progress.states} state{'s' * (progress.states != 1)}"
     return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
@@ -75,7 +75,7 @@ def _violation(found: FoundViolation, program: decl.Program) -> Iterator[str]:
     what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
     if found.name.startswith(LOOP):
         what = f"the loop invariant on {found.name} is violated"
-    fewer = "no run with fewer rounds leads to it"
+    fewer = "no run with fewer rounds leads to a violation"
     if found.shortest is not None:
         fewer = f"the language allows it after {found.shortest}, in an order of events that agents never use"
     yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
@@ -95,7 +95,7 @@ def _wrapped(text: str) -> list[str]:
 
 
 def document(result: ExplorationResult, program: decl.Program, n_sys: int) -> dict[str, Any]:
-    """Return the result for JSON."""
+    """Return the result of an exploration as data for JSON."""
     found = result.violation
     return {
         "verdict": verdict(result),
@@ -126,7 +126,7 @@ def _data(found: FoundViolation) -> dict[str, Any]:
 
 
 def trace(found: FoundViolation, program: decl.Program, about: RunOrigin) -> str:
-    """Return the run as a trace."""
+    """Return the run to a violation as the text of a trace file."""
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {to_koord(found.failed.formula)}" if found.failed else found.reason
     culprit = None
@@ -136,7 +136,9 @@ def trace(found: FoundViolation, program: decl.Program, about: RunOrigin) -> str
 
 
 def itf(found: FoundViolation, program: decl.Program) -> str:
-    """Return the run in Apalache's Informal Trace Format (ADR-015), for viewers of TLA+ traces."""
+    """Return the run to a violation in Apalache's Informal Trace Format (ADR-015).
+
+    Viewers of TLA+ traces read this format."""
     robots = range(len(found.run_states[0].state.robots))
     cells = [v.name for v in program.shared if v.kind == "allwrite"]
     names = [*own(found.run_states[0].state, 0), "stopped"]
@@ -165,4 +167,4 @@ def _itf(value: Any) -> Any:
         case tuple():
             return [*map(_itf, value)]
         case _:
-            return str(value)  # the format has no real numbers, so a float is written as text
+            return str(value)  # the format has no real numbers, so floats become strings

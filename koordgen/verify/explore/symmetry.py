@@ -1,16 +1,17 @@
-"""Symmetry: decides whether a program treats all robots alike, so that permuted fleets are equivalent.
+"""Symmetry reduction: decides whether a program treats all robots alike, and sorts robots.
 
-A program is symmetric if nothing in it distinguishes one pid from another. That is so under three conditions:
+A program is symmetric if nothing in the program distinguishes one pid from another. Three conditions ensure this:
 
 - `pid` occurs only as the index of the robot's own slot.
 - A whole allread variable occurs only where the order of its slots does not matter: in `in`, `count` and `len`, and for
   ints also in `sum`, `min` and `max`.
-- A name that a quantifier binds to robots occurs only as an index, and where two such names are compared for equality.
+- A name that a quantifier binds to robots occurs only as an index, or in a comparison of two such names for equality.
   The quantified formula must always have a value.
 
-Then every permutation of robots maps each step of the program, each step of the environment (whose values are the same
-for all robots) and each property onto itself. So one fleet can represent all its permutations. Any other construct
-disables the reduction: the search then visits more states, but its result is right.
+Then every permutation of the robots turns steps of the program into steps of the program, and changes no property. The
+same holds for steps of the environment, whose values are the same for all robots. So one state represents all its
+permutations. Any other construct in the program turns the reduction off: the search then visits more states, but its
+result is still right.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _SAFE = frozenset(("Point", "Rect", "Ball", "distance", "abs", "len", "count"))
 
 
 def asymmetry(program: decl.Program) -> str:
-    """Return the first construct of a program that distinguishes robots, with its line.
+    """Return the place of the first construct in a program that distinguishes robots, as text.
 
     The text is empty if the program is symmetric."""
     parts = [(p.formula, "a property") for p in program.properties if p.kind != "axiom"]
@@ -42,7 +43,7 @@ def asymmetry(program: decl.Program) -> str:
 
 
 def _apart(node: Part, robots: frozenset[str]) -> Span | None:
-    """Return the position of the first construct that distinguishes robots; None if there is none.
+    """Return the position of the first construct that distinguishes robots; None without such a construct.
 
     `robots`: the names that quantifiers bind to robots."""
     match node:
@@ -83,7 +84,7 @@ def _first_apart(parts: Iterable[Part], robots: frozenset[str]) -> Span | None:
 def _may_fail(body: expr.Expr) -> bool:
     """Return whether a formula may have no value.
 
-    If it may, the order in which a quantifier visits robots can decide the quantifier's value."""
+    The value of a quantifier over such a formula can depend on the order in which the quantifier visits robots."""
     for node in walk(body):
         match node:
             case expr.At() | expr.Slice() | expr.Call() | expr.ExternCall() | expr.PortCall():
@@ -104,12 +105,12 @@ def _unordered(name: str, type_: object) -> bool:
 
 
 def _name_of_self(item: expr.Expr) -> bool:
-    """Return whether an item of an output is the text of `pid`. No event reads an output."""
+    """Return whether an item that an event writes to a stream is `str(pid)`. No event can read a stream."""
     return isinstance(item, expr.Builtin) and item.name == "str" and isinstance(item.args[0], expr.Pid)
 
 
 def sorted_robots(fleet: Packed) -> Packed:
-    """Return the fleet that represents the given fleet and all its permutations: the sorted one."""
+    """Return a state with its robots sorted. The result represents all permutations of the robots."""
     n_sys = len(fleet) // 2
     robots = sorted(zip(fleet[:n_sys], fleet[n_sys:-1], strict=True))
     return (*[own for own, _ in robots], *[slots for _, slots in robots], fleet[-1])

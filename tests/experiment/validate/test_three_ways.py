@@ -52,7 +52,7 @@ def test_a_car_that_cannot_turn_on_the_spot(
     assert not any(s["closes"] for s in found["suggestions"])
     capsys.readouterr()
     assert cli.main(shlex.split(car["worst"]["replay"])[1:]) == 0
-    assert "as the program means" in capsys.readouterr().out
+    assert "no differences from the program" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -74,12 +74,12 @@ def test_replay_and_audit_take_old_and_renewed_traces(old: Path, capsys: pytest.
             replayed = capsys.readouterr().out.replace(str(each), "")
             assert main(["audit", str(each), "--program", str(run / "source/lineform.koord")]) in (0, 4)
             found.append((replayed, capsys.readouterr().out.replace(each.name, "")))
-        assert found[0] == found[1] and "as the program means" in found[0][0]
+        assert found[0] == found[1] and "no differences from the program" in found[0][0]
 
 
 def test_old_parts_of_a_trace_are_one(old: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", str(old / "parts/trace.jsonl")]) == 0
-    assert "1 robot, 16 rounds, 8 events: as the program means" in capsys.readouterr().out
+    assert "1 robot, 16 rounds, 8 events: no differences from the program" in capsys.readouterr().out
     assert main(["audit", str(old / "parts"), "--format", "json"]) == 4, "the other robot's trace is not there"
 
 

@@ -278,7 +278,7 @@ def test_what_monitors_said_is_compared(tmp_path: Path) -> None:
         file.write(monitor("invariant", "Near", near, 9, "held"))
     (note,) = audited(home)[1]["notes"]
     assert note.startswith(f"bert reported in round 8 that invariant Near (line {near}) is violated")
-    assert "it held" in note
+    assert "the property held" in note
     edit(home / "alice.jsonl", lambda r: None if r["kind"] == "monitor" and r["outcome"] == "violated" else r)
     notes = audited(home)[1]["notes"]
     assert any(
@@ -353,7 +353,7 @@ def test_a_picture_is_drawn(home: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert "invariant Near" in picture or len(picture) > 5000
     assert main(["audit", str(home), "--plot", str(tmp_path / "a.nothing")]) == 2
     captured = capsys.readouterr()
-    assert "a.nothing: a name that ends in .png, .svg, .pdf" in captured.err and not captured.out
+    assert "a.nothing: the name of the picture must end in .png, .svg, .pdf" in captured.err and not captured.out
     assert main(["audit", str(home), "--plot", str(tmp_path / "none/a.png")]) == 5
     captured = capsys.readouterr()
     assert "none/a.png: No such file or directory" in captured.err and "verdict" in captured.out, (

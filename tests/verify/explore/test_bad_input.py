@@ -55,7 +55,7 @@ def test_a_bound_tells_how_far_it_came(capsys: pytest.CaptureFixture[str]) -> No
     election = str(EXAMPLES / "election/election.koord")
     status, text = told(capsys, election, "--robots", "5", "--states", "30", "--no-symmetry")
     assert status == 4 and "INCONCLUSIVE explored to depth 0;" in text
-    assert "ended by: the bound of 30 states; no violation found so far" in text
+    assert "ended by: the limit of 30 states; no violation found so far" in text
 
 
 def test_a_port_that_needs_values_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -168,9 +168,9 @@ def test_what_initially_excludes_all_is_no_proof() -> None:
 
 
 @pytest.mark.parametrize("bounds, stopped, depth", [
-    (ExplorationBounds(rounds=2), "the bound of 2 rounds", 2),
-    (ExplorationBounds(states=5), "the bound of 5 states", 1),
-    (ExplorationBounds(seconds=0.01), "the bound of 0.01 s", 1),
+    (ExplorationBounds(rounds=2), "the limit of 2 rounds", 2),
+    (ExplorationBounds(states=5), "the limit of 5 states", 1),
+    (ExplorationBounds(seconds=0.01), "the time limit of 0.01 s", 1),
 ])  # fmt: skip
 def test_a_bound_is_told(bounds: ExplorationBounds, stopped: str, depth: int) -> None:
     program = compiled(COUNT)
@@ -274,7 +274,7 @@ def test_a_bound_holds_within_a_round_of_many_ends() -> None:
     program = compiled(text + "initially: forall i in ID: Dev.level[i] == 5\n")  # one state, then 1,600 in one round
     around = Environment({"Dev.level": SensorDomain(values)}, {})
     result = explored(program, 2, around, bounds=ExplorationBounds(states=450), symmetry=False)[1]
-    assert result.stopped == "the bound of 450 states" and result.progress.states <= 450 + 20 * 20
+    assert result.stopped == "the limit of 450 states" and result.progress.states <= 450 + 20 * 20
 
 
 FOLD = """

@@ -100,7 +100,7 @@ def test_traces_of_the_examples_are_as_their_programs_mean(
     assert replay(folder / "robots/bert/trace.jsonl") == 0
     told = capsys.readouterr().out.splitlines()
     assert "3 robots, " in told[0] and "1 robot, " in told[1]
-    assert all(line.endswith("as the program means") for line in told)
+    assert all(line.endswith("no differences from the program") for line in told)
     events = [int(line.split(" rounds, ")[1].split()[0]) for line in told]
     assert events[0] >= events[1] > 0
 
@@ -210,7 +210,7 @@ def test_a_trace_that_is_cut_off_is_replayed_as_far_as_it_goes(
     cut = data[: len(data) // 2].count(b"\n") + 1
     assert replay(copied) == 0
     told = capsys.readouterr()
-    assert f"{path}:{cut}: the trace is cut off here" in told.err and "as the program means" in told.out
+    assert f"{path}:{cut}: the trace is cut off here" in told.err and "no differences from the program" in told.out
 
 
 def test_a_trace_broken_amid_it_is_refused(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
