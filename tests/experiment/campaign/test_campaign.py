@@ -150,7 +150,7 @@ def test_finished_runs_are_not_repeated_and_half_a_line_is_no_run() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--vary", "seed=1:2"], "holds a campaign already"),
+        (["--vary", "seed=1:2"], "already contains a campaign"),
         (["--vary", "seed=1:3", "--resume"], "other things are varied: seed=1:3"[:26]),
         (["--vary", "seed=1:2", "--resume", "--duration", "3"], "the runs' options are others: none, not --duration=3"),
         (["--vary", "seed=1:2", "--resume", "--runs", "1"], "another number of runs: 2, not 1"),
@@ -174,9 +174,9 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
     Path("out").mkdir()
     Path("out/thesis.tex").write_text("x")
     assert campaign("--vary", "seed=1:2") == 5
-    assert "not of a campaign" in capsys.readouterr().err and os.listdir("out") == ["thesis.tex"]
+    assert "contains files of no campaign" in capsys.readouterr().err and os.listdir("out") == ["thesis.tex"]
     assert cli.main(["campaign", "a", "--fleet", "f", "--out", "no", "--resume"]) == 5
-    assert "no: there is no campaign to go on with" in capsys.readouterr().err and not Path("no").exists()
+    assert "no: there is no campaign to resume" in capsys.readouterr().err and not Path("no").exists()
 
 
 @pytest.mark.parametrize(
