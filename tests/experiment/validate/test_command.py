@@ -89,7 +89,7 @@ def test_more_samples_go_on_with_those_that_are_there(capsys: pytest.CaptureFixt
     assert "out: contains another validation: other things are varied: seed=1:, not seed=9:" in capsys.readouterr().err
     plan = CampaignPlan("app", "", "", (), (), 3)
     with (
-        pytest.raises(store.FolderUnusable, match="out: holds a validation, not a campaign"),
+        pytest.raises(store.FolderUnusable, match="out: contains a validation, not a campaign"),
         store.claimed(OUT, plan, True),
     ):
         pass
@@ -111,7 +111,7 @@ def test_violated(capsys: pytest.CaptureFixture[str]) -> None:
     assert validate("--seed", "100", "--samples", "4") == 3
     out = capsys.readouterr().out
     assert "car full: across, 2 windows, at most 0.040 m outside the box in one, 0.040 m in a row" in out
-    assert "The prover closes every invariant with: assume position' in Rect" in out
+    assert "The prover proves all invariants with: assume position' in Rect" in out
 
 
 def test_a_run_that_fails_leaves_it_inconclusive(capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,7 +121,7 @@ def test_a_run_that_fails_leaves_it_inconclusive(capsys: pytest.CaptureFixture[s
     capsys.readouterr()
     assert cli.main(["validate", "app.koord", "--fleet", "f", "--out", "o", "--seed", "950", "--samples", "1"]) == 4
     out = capsys.readouterr().out
-    assert "runs that did not come to an end: status 5: error: no world" in out and "INCONCLUSIVE" in out
+    assert "some runs did not finish; the first reason: status 5: error: no world" in out and "INCONCLUSIVE" in out
 
 
 def test_a_program_that_assumes_nothing(capsys: pytest.CaptureFixture[str]) -> None:

@@ -129,7 +129,7 @@ def test_the_one_that_overshoots_has_the_larger_reachset(reached: list[tube.Reac
 
 
 def test_other_offsets_are_not_compared(reached: list[tube.Reachset]) -> None:
-    with pytest.raises(ValueError, match="not the same offset"):
+    with pytest.raises(ValueError, match="the offsets differ"):
         tube.compare(reached[0], replace(reached[1], offset=(2.0, 0.0, 0.0)))
 
 
@@ -203,7 +203,7 @@ def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Pa
 
 def test_a_run_that_fails_is_told(platforms: dict[str, probe.ProbedPlatform], tmp_path: Path) -> None:
     own = replace(platforms["quad simple"], common={**platforms["quad simple"].common, "sim": {"start_timeout": 1.0}})
-    with pytest.raises(BadProbe, match="did not run"):
+    with pytest.raises(BadProbe, match="of a probe failed"):
         probe.take_samples([Probe(own, (1.0, 0.0, 0.0), 1, 1.0, robots=1)], LocalPool(1), tmp_path / "out")
 
 

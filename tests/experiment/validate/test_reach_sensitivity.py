@@ -114,5 +114,5 @@ def test_a_way_that_left_among_those_of_calibration_makes_the_tube_larger() -> N
 
 
 def test_too_few_samples_are_refused() -> None:
-    with pytest.raises(ValueError, match="there must be more"):
+    with pytest.raises(ValueError, match="are too few"):
         learned_of(*lagging(np.random.default_rng(1), 20), 10)
