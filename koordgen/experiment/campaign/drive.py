@@ -71,10 +71,10 @@ def execute_runs(
     tell: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
-    """Execute all runs of a campaign that have no stored result yet, and store their results.
+    """Execute all runs of a campaign that have no stored result yet, and store the result of each run.
 
-    Raises DiskFull, ClusterUnreachable, and KeyboardInterrupt if `interrupted` returns True. If this function ends by
-    an exception, it has stopped the executor, and the results stored until then remain."""
+    Raises DiskFull, ClusterUnreachable, and KeyboardInterrupt if `interrupted` returns True. The executor is stopped
+    before this function ends. After an exception, all results of finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
     progress = CampaignProgress(len(runs), kept)
     under_way: dict[Future[RunResult], PlannedRun] = {}
@@ -136,7 +136,7 @@ class CampaignProgress:
                 parts.append(f"{count} {said}")
         fresh, passed = done - self._before, time.monotonic() - self._began
         if fresh:
-            parts.append(f"{_clock(passed / fresh * (self._total - done))} to go")
+            parts.append(f"{_clock(passed / fresh * (self._total - done))} remaining")
         return ", ".join(parts)
 
 

@@ -85,7 +85,7 @@ class DaskCluster:
         try:
             self._client = Client(address, timeout=REACHED_WITHIN, set_as_default=False)
         except (OSError, ValueError) as error:
-            way = "start `dask scheduler` and `dask worker`; --cluster needs the address of the scheduler, tcp://HOST:8786"
+            way = "start `dask scheduler` and `dask worker`; give the scheduler's address, --cluster tcp://HOST:8786"
             raise ClusterUnreachable(
                 f"no Dask scheduler answers at {address}: {str(error) or 'timeout'}", way
             ) from None
@@ -94,9 +94,9 @@ class DaskCluster:
 
     @property
     def width(self) -> int:
-        """Return how many jobs to submit at once: twice the number of threads of all workers.
+        """Return how many jobs to submit at once: twice the number of threads of all workers of the cluster.
 
-        So each worker finds a queued job when it finishes another job."""
+        Each worker then has a queued job and starts the queued job without delay."""
         threads: dict[str, int] = self._client.nthreads()
         return 2 * max(1, sum(threads.values()))
 
@@ -116,8 +116,8 @@ class DaskCluster:
                 result, files = finished.result()
                 unpacked(files, cleared(folder))
                 done.set_result(result)
-            # The worker, the connection or the local disk can fail. The future passes the exception to the caller of
-            # `result()`.
+            # The cluster's worker, the connection or the local disk can fail. The future `done` passes the exception
+            # to the caller of `done.result()`.
             except BaseException as error:
                 done.set_exception(error)
 

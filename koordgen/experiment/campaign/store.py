@@ -67,7 +67,7 @@ class CampaignStore:
         self.results: dict[int, RunResult] = {}
 
     def run_folder(self, name: str) -> Path:
-        """Return the path of the folder in which a run stores its files. `name`: four digits or more."""
+        """Return the path of the folder in which a run stores its files. `name`: the run's number in four digits."""
         return self.folder / RUNS / name
 
     def add(self, result: RunResult) -> None:
@@ -111,7 +111,7 @@ def claimed(folder: Path, plan: CampaignPlan, resume: bool) -> Iterator[Campaign
     if folder.exists() and not folder.is_dir():
         raise FolderUnusable(f"{folder}: is not a folder", "choose another folder with --out")
     if folder.is_dir() and any(folder.iterdir()) and not (folder / LOCK).exists():
-        raise FolderUnusable(f"{folder}: contains files of no {plan.what}", "choose another folder with --out")
+        raise FolderUnusable(f"{folder}: contains files, but no {plan.what}", "choose another folder with --out")
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("ab") as lock:
         try:
@@ -144,12 +144,12 @@ def _object(path: Path) -> dict[str, Any]:
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise FolderUnusable(f"{path}: cannot be read: {error}", "choose another with --out") from None
+        raise FolderUnusable(f"{path}: cannot be read: {error}", "choose another folder with --out") from None
     return value if isinstance(value, dict) else {}
 
 
 def _finished(path: Path) -> dict[int, RunResult]:
-    """Return the results stored in `results.jsonl` by run number, without failed runs, which are repeated.
+    """Return the results stored in `results.jsonl` by run number. Results of failed runs are omitted.
 
     An interrupted write can leave an incomplete last line. This line is removed from the file."""
     if not path.exists():
@@ -161,7 +161,7 @@ def _finished(path: Path) -> dict[int, RunResult]:
     try:
         found = [RunResult(**json.loads(line)) for line in whole.splitlines()]
     except (ValueError, TypeError) as error:
-        raise FolderUnusable(f"{path}: cannot be read: {error}", "choose another with --out") from None
+        raise FolderUnusable(f"{path}: cannot be read: {error}", "choose another folder with --out") from None
     return {result.run: result for result in found if result.outcome != "failed"}
 
 

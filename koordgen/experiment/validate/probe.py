@@ -36,7 +36,9 @@ from koordgen.fleet.manifest import Target
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 RATE = 240  # recorded poses of each robot per second: one pose for every step of the simulator
-STATE = 0.05  # a robot's velocity at its start is the mean velocity from STATE seconds before to STATE seconds after
+# A robot's velocity at the command of its target is the mean velocity from STATE seconds before to STATE seconds after
+# the command.
+STATE = 0.05
 MOST_ROBOTS = 100  # largest number of robots in one run
 KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # keys copied from the user's fleet file
 WEATHER = ("floor_friction", "wind")  # keys copied from the section `world` of the user's fleet file
@@ -206,7 +208,7 @@ def check(probe: Probe) -> None:
     if not 1 <= probe.robots <= MOST_ROBOTS:
         raise BadProbe(f"{probe.robots} robots in one run, but 1 to {MOST_ROBOTS} are allowed")
     if not any(probe.offset[:2]):
-        raise BadProbe(f"the offset {_told(probe.offset)} is zero in x and y", "give an offset with x or y")
+        raise BadProbe(f"the offset {_told(probe.offset)} is zero in x and y", "give an offset with another x or y")
 
 
 def fleet_of(probe: Probe, part: int) -> dict[str, Any]:

@@ -17,13 +17,13 @@ from typing import Any
 from koordgen.experiment.validate.breach import BoxBreach, ConsecutiveBreaches, kind
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-FINISHED = ("completed", "stopped")  # ends of runs that were observed completely
+FINISHED = ("completed", "stopped")  # values of `ended` of a run that was simulated to its end
 HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
 
 
 @dataclass(frozen=True)
 class SampledAssumption:
-    """Assumption of the program about a module, with the line of its text and its index in `windows.jsonl`."""
+    """Assumption of the Koord program about a module. `index`: place of the assumption in `windows.jsonl`."""
 
     index: int
     module: str
@@ -42,6 +42,7 @@ class AssumptionObservation:
     first: float | None = None
     worst: BoxBreach | None = None
     breaches: Counter[str] = field(default_factory=Counter)  # kind of breach -> number of violated windows
+
     # kind of breach -> largest distance of the robot from the box in one window, in metres
     farthest: dict[str, float] = field(default_factory=dict)
     # kind of breach -> largest sum of breaches over consecutive windows, in metres

@@ -62,9 +62,10 @@ class Suggestion:
 
 
 def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
-    """Return the assumption at a line of the program if it only relates `position'`, `position` and `target`.
+    """Return the assumption at a line of the program if the assumption bounds a robot's path to its target.
 
-    Such an assumption bounds a robot's path to its target. Returns None if the line has no such assumption."""
+    Such an assumption relates the ports `position'`, `position` and `target`, and no other ports. Returns None for any
+    other assumption."""
     for module in program.modules:
         for assumption in module.assumptions:
             read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
@@ -84,12 +85,12 @@ def suggestions(
     samples: Sequence[RunSample],
     solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
-    """Suggest weaker replacements for the assumption at a line, if it bounds a robot's path to its target.
+    """Suggest two weaker replacements for the assumption at a line of the program.
 
-    The first replacement allows the box from position to target and a ball around the target; the second allows only
-    the ball. For any other assumption, the list is empty. Raises SolverMissing.
+    The assumption must bound a robot's path to its target; otherwise, the list is empty. The first replacement allows
+    the box from position to target and a ball around the target; the second allows only the ball. Raises SolverMissing.
 
-    The box itself is not enlarged: a margin around the robot's position would add up from round to round, and no
+    The box is not enlarged, because a margin around the robot's position would grow from round to round. Then no
     invariant about positions could be proved."""
     old = about_way(program, line)
     if old is None:
@@ -124,7 +125,7 @@ def _with(source: Source, span: Span, formula: str) -> decl.Program:
     """Replace the formula at `span` in a program's text by `formula`, and return the checked program."""
     lines = source.text.split("\n")
     first, last = lines[span.line - 1], lines[span.end_line - 1]
-    whole = f"{first[: span.column - 1]}{formula}{last[span.end_column - 1 :]}"
+    whole = first[: span.column - 1] + formula + last[span.end_column - 1 :]
     text = "\n".join([*lines[: span.line - 1], whole, *lines[span.end_line :]])
     changed = Source(source.path, text)
     tree, unread = parse(changed)

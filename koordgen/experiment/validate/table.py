@@ -84,14 +84,14 @@ def _head(found: ValidationReport) -> Iterator[str]:
 
 def _claim(found: ValidationReport) -> str:
     bound = found.bound
-    says = f"a run from these starts violates with a probability below {bound.epsilon:g}"
+    says = f"a run from these starts violates an assumption with a probability below {bound.epsilon:g}"
     if found.verdict == "VALIDATED":
-        return f"with confidence {1 - bound.gamma:g} {says} ({bound.needed} runs or more without a violation)"
+        return f"with confidence {1 - bound.gamma:g}, {says} ({bound.needed} or more runs had no violation)"
     if found.verdict == "VIOLATED":
         platforms = ", ".join(dict.fromkeys(v.platform for v in found.verdicts if v.verdict == "VIOLATED"))
         return f"a proof that uses these assumptions does not cover {platforms}"
-    asked = f"to say that with confidence {1 - bound.gamma:g} {says} takes {bound.needed} runs without a violation"
-    return f"{asked} (ln(1/{bound.gamma:g})/{bound.epsilon:g})"
+    asked = f"{bound.needed} runs without a violation are needed to show with confidence {1 - bound.gamma:g}"
+    return f"{asked} that {says} ({bound.needed} >= ln(1/{bound.gamma:g})/{bound.epsilon:g})"
 
 
 def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], commands: Commands) -> Iterator[str]:
@@ -150,11 +150,12 @@ def _case(verdict: AssumptionVerdict, case: Case, commands: Commands) -> Iterato
     if case.breach is not None:
         x, y, z = case.breach.out
         row = (
-            f", {case.breach.together:.3f} m with those before it"
+            f", {case.breach.together:.3f} m with the windows before"
             if case.breach.together > case.breach.distance
             else ""
         )
-        how = f": {case.breach.distance:.3f} m outside{row}, by ({x:.3f}, {y:.3f}, {z:.3f}) m, {case.breach.main}"
+        far = f"{case.breach.distance:.3f} m outside the box{row}"
+        how = f": {far}, by ({x:.3f}, {y:.3f}, {z:.3f}) m, kind {case.breach.main}"
     yield f"  {verdict.platform}: {case.robot}, run {case.run:04d} (seed {case.seed}), at {case.at:.2f} s{how}"
     run, replay = commands(case)
     yield f"    {run}"

@@ -31,9 +31,11 @@ FORMAT = "koord-reachset/1"
 EPSILON, GAMMA = 0.05, 0.05  # defaults of the options of `koordgen validate`
 STEP = 0.05  # longest time that one box of a reachset covers, in seconds
 SEGMENT = 0.25  # length of the segments of the discrepancy function, in seconds
+
 # Weights in the distance of two starts: VELOCITY, in s, for velocities; HEADING, in m, for unit vectors of heading.
 VELOCITY, HEADING = 1.0, 1.0
-# Number of sampled paths that a reachset keeps for pictures: every k-th path in the order of the distance reached.
+
+# Number of sampled paths that a reachset keeps for pictures, from the shortest path to the longest path.
 SHOWN = 24
 SLOW = 0.05  # a robot faster than this at the end of the observation counts as moving, in m/s
 MOST_BOXES = 100  # largest number of boxes in the computation of a volume; more boxes are first joined
@@ -106,9 +108,9 @@ class Reachset:
         return float(np.abs(self.aside).max())
 
     def json(self) -> dict[str, Any]:
-        """Return the reachset as JSON (docs/reference/validate.md).
+        """Return the reachset as a JSON object, whose format is described in docs/reference/validate.md.
 
-        Numbers are rounded to a tenth of a millimetre."""
+        Lengths are rounded to a tenth of a millimetre."""
         found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
         found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
         own = self.sensitivity
@@ -171,8 +173,8 @@ def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes:
 
     `ways` (n, T, d): the paths at evenly spaced `times` (T,).
     `starts` (n, f): features of the start of each path.
-    `each`: number of paths for the check, which are the last ones, and of those for calibration, which come before. All
-        other paths are for learning.
+    `each`: number of paths for the check, and number of paths for calibration. The last `each` paths are for the check,
+        the `each` paths before them for calibration, and all other paths for learning.
     `step`: time that one box covers, in seconds.
     `axes` (d, a): unit vectors along which boxes extend.
     Raises ValueError if there are too few paths."""
@@ -204,10 +206,11 @@ def _pairs(ways: Array, starts: Array, centres: Array, at: Array) -> tuple[Array
 
 
 def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, Array, Array]:
-    """Divide time into steps. Return the steps' edges and the smallest box of each step, as two corners.
+    """Join boxes at single times into boxes that each cover a time step. Return the times at which steps begin or end.
 
-    `low`, `high` (T, d): lower and upper limits at each time. A step's box contains the limits at all its times.
-    `step`: duration in seconds."""
+    `low`, `high` (T, d): lower and upper corner of the box at each time.
+    `step`: duration of a time step in seconds.
+    Also return the lower and the upper corners of the joined boxes."""
     stride = max(1, round(step / (times[1] - times[0])))
     first = np.arange(0, len(times) - 1, stride)
     last = np.minimum(first + stride, len(times) - 1)

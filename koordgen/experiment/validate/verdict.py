@@ -143,15 +143,15 @@ def _said(bad: int, judged: int, total: Mapping[str, int], cut: int, wanted: int
     if bad:
         return "VIOLATED", ""
     if total.get(NO_VALUE):
-        return "INCONCLUSIVE", f"it had no value in {_windows(total[NO_VALUE])}: something in it failed"
+        return "INCONCLUSIVE", f"it had no value in {_windows(total[NO_VALUE])}: its evaluation failed"
     if cut:
         return (
             "INCONCLUSIVE",
-            f"{cut} run{'s' * (cut != 1)} did not come to an end: what it would have shown is not known",
+            f"{cut} run{'s' * (cut != 1)} did not come to an end, so violations may have been missed",
         )
     if not judged:
         unknown = f"; in {_windows(total[UNKNOWN])} it was not known" if total.get(UNKNOWN) else ""
-        return "INCONCLUSIVE", f"it was never put to the test{unknown}"
+        return "INCONCLUSIVE", f"the assumption was never put to the test{unknown}"
     if wanted:
         return "INCONCLUSIVE", f"{wanted} more sample{'s' * (wanted != 1)} wanted"
     return "VALIDATED", ""

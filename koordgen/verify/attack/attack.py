@@ -56,9 +56,9 @@ TRIES = 12  # largest number of attempts to draw one initial state
 ROUNDS = 6  # length of one random walk, in rounds
 ORDERS = 150  # largest number of events that are run from one state of the solver
 VARIED_ORDERS = 8  # largest number of events that are run from one variation of a known state
-MODEL_RUNS = 60  # runs of an event that are expected from one state of the solver, to choose the next event
+MODEL_RUNS = 60  # assumed number of runs of an event that one state of the solver makes possible
 SKIPS = 0.15  # probability that a robot runs no event in a round of a random walk
-STALE = 400  # units of work (attempts to find a state or to run a step) without a new state that end the attack
+STALE = 400  # the attack ends after STALE attempts, to find a state or to run a step, without a new state
 FIRST = 0.4  # largest share of the time budget for initial states and first events
 
 Clock = Callable[[], float]
@@ -89,7 +89,7 @@ class AttackReport(NamedTuple):
 
 
 class BudgetSpent(Exception):
-    """Raised to end an attack: the time budget is used up, or no new states are found."""
+    """Raised to end an attack, if the time budget is used up or no new states are found."""
 
 
 class ContradictionFound(Exception):
@@ -215,7 +215,7 @@ class _AttackSearch:
         self.tried: dict[str, int] = {}  # step -> number of runs that were expected from the solver's states
         self.spent = False
         self.units = 0
-        # (number of judged states, number of units of work), both as of the last unit that found a new state
+        # (number of judged states, number of units of work) when the attack last found a new state
         self.news = 0, 0
 
     def clock(self) -> float:
@@ -248,7 +248,7 @@ class _AttackSearch:
                 return again
         except (TrialNotCovered, UnusableStep) as error:
             why = str(error)
-        raise InternalError(f"the attack on {found.breach.invariant} cannot repeat its contradiction: {why}")
+        raise InternalError(f"the attack cannot repeat its contradiction of {found.breach.invariant}: {why}")
 
     def alternate(self) -> None:
         """Take states from all sources, each for an equal share of time, until the time budget is used up."""
@@ -276,7 +276,7 @@ class _AttackSearch:
         if self.spent or self.units - self.news[1] > STALE:
             raise BudgetSpent
 
-    # Initial states and first rounds
+    # Attack of initial states and first rounds
 
     def first(self) -> Iterator[None]:
         """Attack STARTS initial states of each fleet size.
@@ -320,7 +320,7 @@ class _AttackSearch:
             yield
             self.settle(step)
 
-    # Random walks
+    # Attack by random walks
 
     def walks(self) -> Iterator[None]:
         """Attack the states of random walks. Each walk begins after `init`, in a known or a newly drawn state."""
@@ -355,7 +355,7 @@ class _AttackSearch:
                 return step
         return place
 
-    # Variations of known states
+    # Attack of variations of known states
 
     def varied(self) -> Iterator[None]:
         """Attack variations of known states. From each variation that satisfies the PROVED invariants, run a round."""
@@ -365,10 +365,10 @@ class _AttackSearch:
             yield
             yield from self.every_order(state, VARIED_ORDERS)
 
-    # States from the solver's models
+    # Attack of states from the solver's models
 
     def modelled(self) -> Iterator[None]:
-        """Attack states from the solver's models. The next model is for the step that was run least often so far."""
+        """Attack states from the solver's models. Each state is requested for the step with the fewest runs."""
         assert self.solver is not None
         models = Models(self.program, self.exact, self.params, self.solver, self.random)
         plain = {event.name: event for event in self.program.events}
@@ -413,7 +413,7 @@ class _AttackSearch:
                 yield
                 places.append(step)
 
-    # Steps
+    # Execution of single steps
 
     def steps(self, place: RunPosition) -> Iterator[RunPosition]:
         """Run each possible event of each robot that has not run an event in the present round.
@@ -427,7 +427,10 @@ class _AttackSearch:
                         yield step
 
     def options(self, place: RunPosition, pid: int) -> list[decl.Event]:
-        """Return the events that robot `pid` may run at the given position; none if a guard cannot be evaluated."""
+        """Return the events that robot `pid` may run at the given position.
+
+        The list is empty if a guard cannot be evaluated. Raises ContradictionFound if a guard must have a value, but
+        has none."""
         try:
             ready = self.judge.ready(place.start, place.now, pid)
         except UnusableStep:

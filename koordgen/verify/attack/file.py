@@ -53,7 +53,7 @@ MOST_ACTS = 64
 DIGITS = 1000  # largest number of digits of a number in the file
 _NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
 _ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)
-_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; run this command to write the file again"
+_ANEW = "run `koordgen prove` again: it writes a new file if it finds a contradiction"
 
 
 class BadFile(Exception):
@@ -76,7 +76,7 @@ class TrialFile(NamedTuple):
     invariant: str
 
 
-# Writing
+# Writer of a contradiction file
 
 
 def to_text(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
@@ -143,7 +143,7 @@ def to_json(value: Any) -> Any:
             raise AssertionError(f"{value!r} is not a value of the language")
 
 
-# Reading
+# Parser of a contradiction file
 
 
 def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
@@ -187,7 +187,7 @@ def _no_constant(name: str) -> Any:
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a name occurs twice in one object")
+        raise ValueError("a key occurs twice in one object")
     return found
 
 

@@ -150,7 +150,7 @@ class TrialJudge:
         self.reasons: dict[tuple[str, str], str] = {}
         self.known: set[tuple[object, ...]] = set()  # keys of all states in which invariants were evaluated
 
-    # Judging states
+    # Evaluation of invariants in states
 
     def judged(self, state: State, event: str) -> VerdictBreach | None:
         """Evaluate the PROVED invariants in the state after `event`. Return the first contradiction, or None.
@@ -214,7 +214,7 @@ class TrialJudge:
             raise UnusableStep(self.ports.lacking)
         return held
 
-    # Running steps
+    # Execution of single steps
 
     def init(self, state: State, given: Iterable[PortAnswer] | None = None) -> tuple[State, Act, VerdictBreach | None]:
         """Run `init` of all robots, and judge the state after `init`.
@@ -256,7 +256,7 @@ class TrialJudge:
             stopped = now.robots[pid].stopped or not self.defined
             return ReadyEvents(found, None if stopped else self._guard_fault(start, now, pid, found))
         except (NotExact, NoMeaning, InternalError) as error:
-            raise UnusableStep(f"the guards cannot be evaluated: {error}") from None
+            raise UnusableStep(f"the guards of robot {pid}'s events cannot be evaluated: {error}") from None
 
     def _guard_fault(
         self, start: State, now: State, pid: int, found: list[decl.Event]
@@ -300,8 +300,8 @@ class TrialJudge:
             breach = self._fault(name, str(outcome), outcome.reason)
             if breach is None:
                 given_up = outcome.reason == UNFINISHED  # the attack allows far fewer turns than a robot
-                why = f"given up: it takes more than {TURNS:,} turns" if given_up else f"discarded: {outcome.reason}"
-                self.reasons.setdefault((name, ""), f"each run of it was {why}")
+                why = f"abandoned after {TURNS:,} turns of loops" if given_up else f"discarded: {outcome.reason}"
+                self.reasons.setdefault((name, ""), f"each run of the event was {why}")
             return (now, self._act(name, pid), breach) if breach else None
         if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
             self.counts[name, WELL_DEFINED] += 1
@@ -365,7 +365,7 @@ class TrialJudge:
             return None
         return VerdictBreach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
 
-    # Whole trials
+    # Execution of whole trials
 
     def replay(self, trial: Trial) -> ReplayedTrial:
         """Run all steps of a trial from its first state, and check each step.
@@ -479,7 +479,10 @@ def is_covered(reason: str) -> bool:
 
 
 def _seen(event: decl.Event, start: State, now: State) -> State:
-    """Return the state that an event reads: a plain event reads the shared variables as of the round's start."""
+    """Return the state that an event reads.
+
+    A transaction reads the present shared variables; any other event reads the shared variables of the round's
+    start."""
     return now if event.lock is not None else now._replace(store=start.store)
 
 

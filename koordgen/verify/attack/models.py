@@ -88,12 +88,12 @@ class Models:
             self.waited += answer.seconds
             if answer.result != "sat":
                 said = "no state satisfies" if answer.result == "unsat" else "the solver found no state that satisfies"
-                self.why = f"{said} the invariants and its guard, in a fleet of {robots}"
+                self.why = f"{said} the invariants and the guard, in a fleet of {robots}"
                 return None
             asked.reader.answered(answer.values)
             return ModelStates(self.exact, asked.obligation, asked.reader, robots).state("before")
         except (Unshowable, SolverMissing, NotExact, Discarded) as error:
-            self.why = f"the solver's states cannot be run: {error}"
+            self.why = f"no step can be run from the solver's state: {error}"
             return None
 
     def _nudges(self, asked: _Hypotheses) -> tuple[Term, ...]:

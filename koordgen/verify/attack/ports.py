@@ -74,7 +74,7 @@ class AttackPorts:
             except (Unshowable, NotExact, NoMeaning):
                 continue
             return candidate
-        self.lacking = f"the assumptions allow no known answer of {port}"
+        self.lacking = f"the assumptions allow none of the known results of {port}"
         raise LookupError(self.lacking)
 
     def _known(self, pid: int, port: str, args: tuple[Value, ...]) -> Iterable[Value]:

@@ -69,7 +69,7 @@ class States:
         self.pools = Pools((), [*spoken, *ELSEWHERE], VALUES)
         self.pooled: dict[tuple[Type, int], tuple[Mapping[str, Value], list[Value]]] = {}
 
-    # States before `init`
+    # Initial states, before `init`
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
         """Draw an initial state (before `init`) that satisfies the predicate `plausible`; None if none is found.
@@ -124,7 +124,7 @@ class States:
             return self.value(type_, blank)
         return pool[-1 - pid % len(pool)] if attempt == 0 else self.random.choice(pool)
 
-    # The environment's step
+    # New sensor values for a step of the environment
 
     def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
         """Propose new sensor values of robot `pid` for a step of the environment.
@@ -171,7 +171,7 @@ class States:
             return _of(state, *self.random.choice(alike), pid)
         return self.value(type_, state)
 
-    # Callable ports
+    # Results of port calls
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
         """Propose results of a planner's call in random order: no path, a straight path, a detour, only the goal."""
@@ -185,10 +185,12 @@ class States:
         self.random.shuffle(ways)
         yield from ways
 
-    # Values
+    # Random values of a type
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """Return the values of a type from which values are drawn. The list is empty for any type outside of BASE."""
+        """Return the list of values from which values of a type are drawn.
+
+        For a type that is not in BASE, such as a list or a record, the result is empty."""
         if type_ not in BASE:
             return []
         key = type_, len(state.robots)

@@ -153,7 +153,7 @@ def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
         (b"\xff\xfe", "not valid JSON"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"a": NaN}', "NaN is not a number"),
-        (b'{"a": 1, "a": 1}', "a name occurs twice"),
+        (b'{"a": 1, "a": 1}', "a key occurs twice"),
         (b'{"a": ' + b"9" * 5000 + b"}", "not valid JSON"),
         (b" " * (MOST_BYTES + 1), "the limit is"),
     ],
@@ -194,5 +194,5 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
     given = read_trial(TEXT.encode(), program, HASH)
-    with pytest.raises(UnusableStep, match=r"allow no known answer of Motion\.planner"):
+    with pytest.raises(UnusableStep, match=r"allow none of the known results of Motion\.planner"):
         TrialJudge(program, given.proved, lambda *_: ()).replay(given.trial)
