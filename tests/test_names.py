@@ -79,7 +79,7 @@ ALLOWED = {
 # The numbers may only become smaller; a room that is not listed has none.
 LEFT: dict[str, tuple[int, int]] = {
     "koordgen/cli": (6, 0),
-    "koordgen/experiment": (14, 0),
+    "koordgen/experiment": (3, 0),
     "koordgen/lang": (8, 0),
     "koordgen/operate": (17, 9),
     "koordgen/runtime": (69, 5),

@@ -242,8 +242,8 @@ def _ended(
     message says that `again` (an option or a command) executes the remaining runs."""
     resumable = ("{} of {} runs are finished; " + f"{again} executes the others").format
     try:
-        with _noticed_signals() as noticed:
-            carry_out(lambda: bool(noticed))
+        with _recorded_signals() as received:
+            carry_out(lambda: bool(received))
     except KeyboardInterrupt as interrupt:
         line.end()
         print(resumable(len(kept.results), planned), file=sys.stderr)
@@ -268,15 +268,15 @@ def _single(options: Namespace, run: plan.PlannedRun, fixed: Sequence[str], harn
 
 
 @contextmanager
-def _noticed_signals() -> Iterator[list[int]]:
+def _recorded_signals() -> Iterator[list[int]]:
     """Record SIGINT, SIGTERM and SIGHUP instead of ending the process, so that the caller can end in an orderly way.
 
     Yields the list of received signal numbers. A signal that the process ignores stays ignored."""
-    noticed: list[int] = []
+    received: list[int] = []
     watched = [s for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) != signal.SIG_IGN]
-    before = {each: signal.signal(each, lambda number, _: noticed.append(number)) for each in watched}
+    before = {each: signal.signal(each, lambda number, _: received.append(number)) for each in watched}
     try:
-        yield noticed
+        yield received
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)

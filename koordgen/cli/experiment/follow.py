@@ -68,11 +68,11 @@ def _program(options: Namespace, given: CounterexampleTrace) -> tuple[Program, d
         )  # fmt: skip
     try:
         own = {**from_file, **params(options.param)}
-        told = _told(checked.program, given)
-        asked = {name: told[name] for name in given.given}
+        of_trace = _params_of_trace(checked.program, given)
+        asked = {name: of_trace[name] for name in given.given}
         more = {name: value for name, value in asked.items() if name not in own}
         program = with_params(checked.program, {**more, **own})
-        versions = [with_params(checked.program, values) for values in (asked, own, told, {})]
+        versions = [with_params(checked.program, values) for values in (asked, own, of_trace, {})]
     except BadParam as error:
         way = "check the params in the trace, in the fleet file and in --param"
         raise Failure(WRONG, f"{given.path}: {error}", way) from None
@@ -95,7 +95,7 @@ def _program(options: Namespace, given: CounterexampleTrace) -> tuple[Program, d
     return program, more
 
 
-def _told(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
+def _params_of_trace(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
     """Return the values of params in a trace, in the form that `--param` has. Raises Failure if they do not fit."""
     types = {p.name: p.type for p in program.params}
     if set(given.params) != set(types):

@@ -218,9 +218,9 @@ def make_reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[st
     asked = ReachsetRequest(options.offset, options.epsilon, options.gamma, options.seed)
     show: Callable[[str], None] = (lambda _: None) if options.quiet else (lambda text: line.show(f"reachsets: {text}"))
     try:
-        with closing(campaigns._executor(options)) as executor, campaigns._noticed_signals() as noticed:
+        with closing(campaigns._executor(options)) as executor, campaigns._recorded_signals() as received:
             runs = store.cleared(folder / RUNS)
-            found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(noticed))
+            found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(received))
         files = write_files(found, folder)
     except BadProbe as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None

@@ -68,7 +68,7 @@ def execute_runs(
     executor: Executor,
     bundles: Bundles,
     job: Callable[[PlannedRun], Job],
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
     """Execute all runs of a campaign that have no stored result yet, and store the result of each run.
@@ -89,7 +89,7 @@ def execute_runs(
                 run = under_way.pop(future)
                 _store_result(kept, run, future)
                 bundles.done(run)
-            tell(progress.text())
+            report_progress(progress.text())
             if interrupted():
                 raise KeyboardInterrupt
     except OSError as error:

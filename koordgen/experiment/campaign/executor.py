@@ -21,7 +21,7 @@ REACHED_WITHIN = 10  # seconds to wait for the answer of a Dask scheduler
 class ClusterUnreachable(Exception):
     """Raised if a Dask cluster cannot be used: `distributed` is not installed, or the connection fails.
 
-    `help` tells the user what to do."""
+    `help` is advice for the user."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)

@@ -95,10 +95,10 @@ def difference(stored: Mapping[str, Any], wanted: CampaignPlan) -> str:
     asked = wanted.json()
     for key, meaning in _CHANGED.items():
         if (value := asked[key]) != stored.get(key):
-            shown = "" if key in ("bundle", "verdict") else f": {_told(stored.get(key))}, not {_told(value)}"
+            shown = "" if key in ("bundle", "verdict") else f": {_shown(stored.get(key))}, not {_shown(value)}"
             return f"{meaning}{shown}"
     return ""
 
 
-def _told(value: Any) -> str:
+def _shown(value: Any) -> str:
     return " ".join(value) or "none" if isinstance(value, list) else str(value)

@@ -40,7 +40,7 @@ def _against(name: str, ran: Sequence[RunResult], path: Path) -> Path:
         (time, "mission time, s", [r.mission for r in ran]),
         (apart, "closest, m", [r.separation for r in ran]),
     ):
-        _scatter(axes, [r.outcome for r in ran], places, values)
+        _draw_points(axes, [r.outcome for r in ran], places, values)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     words = sorted({r.varied.get(name, "") for r in ran})
@@ -54,7 +54,7 @@ def _against(name: str, ran: Sequence[RunResult], path: Path) -> Path:
     return path
 
 
-def _scatter(axes: Axes, outcomes: Sequence[str], places: Sequence[float], values: Sequence[float | None]) -> None:
+def _draw_points(axes: Axes, outcomes: Sequence[str], places: Sequence[float], values: Sequence[float | None]) -> None:
     for outcome, colour in COLOURS.items():
         points = [(x, y) for o, x, y in zip(outcomes, places, values, strict=True) if o == outcome and y is not None]
         if points:

@@ -24,7 +24,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class FolderUnusable(Exception):
-    """Raised if a folder cannot store a campaign. `help` tells the user what to do."""
+    """Raised if a folder cannot store a campaign. `help` is advice for the user."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)

@@ -62,10 +62,10 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
         scenario.write_text(job.scenario, encoding="utf-8")
         command.append(f"--scenario={scenario}")
     began = time.monotonic()
-    status, told = run_command(_gently(command) if job.gentle else command, stopped)
+    status, output = run_command(_gently(command) if job.gentle else command, stopped)
     wall = round(time.monotonic() - began, 3)
     if status not in (HELD, VIOLATED):
-        return RunResult(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
+        return RunResult(job.number, dict(job.varied), "failed", _why_not(status, output), wall=wall)
     result = _summarised(job, status, _summary(folder / "summary.json"), wall)
     return _judged(result, job.verdict, folder, stopped) if job.verdict else result
 
@@ -82,18 +82,19 @@ def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, s
     ) as child:
         while True:
             try:
-                told, _ = child.communicate(timeout=POLL)
+                output, _ = child.communicate(timeout=POLL)
             except subprocess.TimeoutExpired:
                 if not stopped():
                     continue
                 _end(child)
                 raise CampaignStopped from None
-            return child.returncode, told.decode("utf-8", "replace")
+            return child.returncode, output.decode("utf-8", "replace")
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """Terminate the process of a run with two SIGTERMs; kill the process if it has not ended after PATIENCE seconds.
+    """Terminate the process of a run with two SIGTERMs, or with SIGKILL if the process does not end.
 
+    SIGKILL follows PATIENCE seconds after the second SIGTERM.
     After only one SIGTERM, a run first stops its robots and writes a report."""
     for _ in range(2):
         child.terminate()
@@ -114,8 +115,8 @@ def _gently(command: list[str]) -> list[str]:
     return [nice, "-n", "10", *command] if nice else command
 
 
-def _why_not(status: int, told: str) -> str:
-    lines = [line.strip() for line in told.splitlines() if line.strip()]
+def _why_not(status: int, output: str) -> str:
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     said = next((line for line in lines if line.startswith("error:")), lines[-1] if lines else "it said nothing")
     how = f"killed by signal {-status}" if status < 0 else f"status {status}"
     return f"{how}: {said}"[:MOST_SHOWN]
@@ -151,8 +152,8 @@ def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], 
 
     If the script's exit status is not 0, a run that held counts as violated. The last line of the script's output is
     the reason. A JSON object in the last line is no reason: its numbers become figures of the run."""
-    status, told = run_command([sys.executable, script, str(folder)], stopped)
-    lines = [line.strip() for line in told.splitlines() if line.strip()]
+    status, output = run_command([sys.executable, script, str(folder)], stopped)
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None
     if figures is not None:
         lines.pop()

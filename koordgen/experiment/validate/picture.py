@@ -34,7 +34,7 @@ def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
     for (over_time, counted), platform in zip(rows, platforms, strict=True):
         # own[k]: the breaches of this platform's robots in run k
         own = [[b for b in sample.breaches if sample.platforms[b.pid] == platform] for sample in samples]
-        _over_time(over_time, own, f"{platform}: {_said(own)}")
+        _over_time(over_time, own, f"{platform}: {_summary(own)}")
         _counted(counted, own)
     rows[-1][0].set_xlabel("start of the window (round of one robot), s since round 1")
     rows[-1][1].set_xlabel("windows")
@@ -47,7 +47,7 @@ def _moved(samples: Sequence[RunSample]) -> bool:
     return any(sample.reach for sample in samples)
 
 
-def _said(own: Sequence[Sequence[BoxBreach]]) -> str:
+def _summary(own: Sequence[Sequence[BoxBreach]]) -> str:
     distances = [b.distance for run in own for b in run]
     if not distances:
         return "never outside"

@@ -76,7 +76,7 @@ Go:
 
 
 class BadProbe(Exception):
-    """Raised if a probe is impossible, or if a run of the probe failed. `help` tells the user what to do."""
+    """Raised if a probe is impossible, or if a run of the probe failed. `help` is advice for the user."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -208,7 +208,7 @@ def check(probe: Probe) -> None:
     if not 1 <= probe.robots <= MOST_ROBOTS:
         raise BadProbe(f"{probe.robots} robots in one run, but 1 to {MOST_ROBOTS} are allowed")
     if not any(probe.offset[:2]):
-        raise BadProbe(f"the offset {_told(probe.offset)} is zero in x and y", "give an offset with another x or y")
+        raise BadProbe(f"the offset {_shown(probe.offset)} is zero in x and y", "give an offset with another x or y")
 
 
 def fleet_of(probe: Probe, part: int) -> dict[str, Any]:
@@ -271,11 +271,11 @@ def build_probe(probe: Probe, part: int, folder: Path) -> None:
     write({harness: bundles[harness]}, folder)
 
 
-def take_samples(
+def collect_samples(
     probes: Sequence[Probe],
     executor: Executor,
     folder: Path,
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Samples]:
     """Execute the simulation runs of all probes in a new folder, and return the observed paths of each probe.
@@ -288,9 +288,15 @@ def take_samples(
     owner: dict[int, tuple[Probe, int]] = {}
     for index, probe in enumerate(probes):
         for part in range(probe.parts):
-            told = {"platform": probe.platform.name, "offset": _told(probe.offset), "seed": str(probe.seed + part)}
+            described = {
+                "platform": probe.platform.name,
+                "offset": _shown(probe.offset),
+                "seed": str(probe.seed + part),
+            }
             owner[len(runs)] = probe, part
-            runs.append(PlannedRun(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
+            runs.append(
+                PlannedRun(len(runs), described, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)})
+            )
 
     def build(params: Mapping[str, str], own: Path) -> None:
         index, _, part = params["probe"].partition("/")
@@ -299,18 +305,18 @@ def take_samples(
     def job(run: PlannedRun) -> Job:
         return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
 
-    varied = tuple(sorted({told for run in runs for told in run.varied.values()}))
+    varied = tuple(sorted({described for run in runs for described in run.varied.values()}))
     plan = CampaignPlan("probe", "", "", (), varied, len(runs), PROBES)
     with store.claimed(folder, plan, resume=False) as kept:
         bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
-        drive.execute_runs(runs, kept, executor, bundles, job, tell, interrupted)
+        drive.execute_runs(runs, kept, executor, bundles, job, report_progress, interrupted)
         for result in kept.results.values():
             if result.outcome == "failed":
                 raise BadProbe(f"run {runs[result.run].name} of a probe failed: {result.why}")
         return [_gathered(probe, [r for r in runs if owner[r.number][0] is probe], kept) for probe in probes]
 
 
-def _told(offset: Vector) -> str:
+def _shown(offset: Vector) -> str:
     return f"({', '.join(f'{v:g}' for v in offset)})"
 
 

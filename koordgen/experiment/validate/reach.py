@@ -13,7 +13,7 @@ from pathlib import Path
 from koordgen.experiment.campaign.executor import Executor
 from koordgen.experiment.campaign.store import replace
 from koordgen.experiment.validate.draw import draw_reachsets
-from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, platforms, take_samples
+from koordgen.experiment.validate.probe import BadProbe, Probe, Start, Vector, collect_samples, platforms
 from koordgen.experiment.validate.statistics import needed
 from koordgen.experiment.validate.tube import EPSILON, GAMMA, Comparison, Reachset, compare, reachset_of
 
@@ -62,14 +62,14 @@ def reachsets(
     asked: ReachsetRequest,
     executor: Executor,
     folder: Path,
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Reachset]:
     """Compute the reachset of each platform in `names` from simulation runs, in the order of `names`.
 
     The runs of all platforms are executed together in a new folder. All platforms get equal random starts. Raises
     BadProbe, Rejected, ManifestError. Exceptions of `campaign.drive.execute_runs` are passed on."""
-    found = take_samples(probes(fleet_file, names, asked), executor, folder, tell, interrupted)
+    found = collect_samples(probes(fleet_file, names, asked), executor, folder, report_progress, interrupted)
     return [reachset_of(samples, asked.epsilon, asked.gamma) for samples in found]
 
 

@@ -60,10 +60,10 @@ class Discrepancy:
         return found
 
 
-def learned(times: Array, ways: Array, starts: Array, segment: float) -> Discrepancy:
+def learned(times: Array, paths: Array, starts: Array, segment: float) -> Discrepancy:
     """Learn a discrepancy function that bounds the distance of all pairs of the given paths.
 
-    `ways` (n, T, d): the paths, in metres, at `times` (T,), in seconds.
+    `paths` (n, T, d): the paths, in metres, at `times` (T,), in seconds.
     `starts` (n, f): features of the start of each path.
     `segment`: length of a segment in seconds.
     The resolution is the largest distance of a start from its nearest neighbour."""
@@ -71,8 +71,8 @@ def learned(times: Array, ways: Array, starts: Array, segment: float) -> Discrep
     away = np.linalg.norm(starts[:, None] - starts[None], axis=-1)
     resolution = float(np.where(np.eye(len(away)) > 0, np.inf, away).min(axis=1).max())
     most = np.zeros(len(times))
-    for k in range(len(ways) - 1):
-        apart = np.linalg.norm(ways[k + 1 :] - ways[k], axis=-1)
+    for k in range(len(paths) - 1):
+        apart = np.linalg.norm(paths[k + 1 :] - paths[k], axis=-1)
         most = np.maximum(most, (apart / np.maximum(away[k, k + 1 :], resolution)[:, None]).max(axis=0))
     # The gain at an edge is the larger of the maxima in the two adjacent segments. So the interpolation between two
     # edges is never below the observed gains.

@@ -168,41 +168,41 @@ class Tube:
     pairs_covered: float
 
 
-def tube(times: Array, ways: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
+def tube(times: Array, paths: Array, starts: Array, each: int, step: float, axes: Array) -> Tube:
     """Learn a tube of boxes that contains sampled paths, calibrate it, and check it with new paths.
 
-    `ways` (n, T, d): the paths at evenly spaced `times` (T,).
+    `paths` (n, T, d): the paths at evenly spaced `times` (T,).
     `starts` (n, f): features of the start of each path.
     `each`: number of paths for the check, and number of paths for calibration. The last `each` paths are for the check,
         the `each` paths before them for calibration, and all other paths for learning.
     `step`: time that one box covers, in seconds.
     `axes` (d, a): unit vectors along which boxes extend.
     Raises ValueError if there are too few paths."""
-    first = len(ways) - 2 * each
+    first = len(paths) - 2 * each
     if first < 2:
-        raise ValueError(f"{len(ways)} samples are too few; at least {2 * each + 2} are needed")
-    found = learned(times, ways[:first], starts[:first], SEGMENT)
-    along = ways @ axes
+        raise ValueError(f"{len(paths)} samples are too few; at least {2 * each + 2} are needed")
+    found = learned(times, paths[:first], starts[:first], SEGMENT)
+    along = paths @ axes
     low, high = along[:first].min(axis=0), along[:first].max(axis=0)
     radius = found.gain(times) * found.resolution
     held, checked = slice(first, first + each), slice(first + each, None)
-    apart, away = _pairs(ways[held], starts[held], ways[:first], starts[:first])
+    apart, away = _pairs(paths[held], starts[held], paths[:first], starts[:first])
     out = np.maximum(np.maximum(low - along[held], along[held] - high), 0.0).max(axis=2)
     inflated = float((out / radius).max())
     low, high = low - (inflated * radius)[:, None], high + (inflated * radius)[:, None]
     inside = ((low <= along[checked]) & (along[checked] <= high)).all(axis=(1, 2))
     sure = calibrated(found, times, apart, away)
-    fresh = sure.beyond(times, *_pairs(ways[checked], starts[checked], ways[:first], starts[:first])) <= 1
+    fresh = sure.beyond(times, *_pairs(paths[checked], starts[checked], paths[:first], starts[:first])) <= 1
     edges, lower, upper = _boxes(times, low, high, step)
     return Tube(edges, lower, upper, sure, inflated, float(inside.mean()), float(fresh.mean()))
 
 
-def _pairs(ways: Array, starts: Array, centres: Array, at: Array) -> tuple[Array, Array]:
-    """Pair each path of `ways` with the path of `centres` that has the nearest start.
+def _pairs(paths: Array, starts: Array, centres: Array, at: Array) -> tuple[Array, Array]:
+    """Pair each path of `paths` with the path of `centres` that has the nearest start.
 
     Return for each pair the distance of the two paths over time, and the distance of the two starts."""
     which, away = nearest(starts, at)
-    return np.linalg.norm(ways - centres[which], axis=2), away
+    return np.linalg.norm(paths - centres[which], axis=2), away
 
 
 def _boxes(times: Array, low: Array, high: Array, step: float) -> tuple[Array, Array, Array]:
@@ -248,15 +248,15 @@ def above(offset: Vector) -> tuple[Array, Array]:
 
 
 def _observed(samples: Samples) -> Observed:
-    ways, offset = samples.positions, np.array(samples.probe.offset)
+    paths, offset = samples.positions, np.array(samples.probe.offset)
     u, left = above(samples.probe.offset)
-    corner = ways[:, :1]
+    corner = paths[:, :1]
     low, high = np.minimum(corner, offset), np.maximum(corner, offset)
-    out = np.maximum(low - ways, ways - high).max()
+    out = np.maximum(low - paths, paths - high).max()
     back = round(0.1 / (samples.times[1] - samples.times[0]))
-    speed = np.linalg.norm(ways[:, -1] - ways[:, -1 - back], axis=1) / 0.1
-    ahead = float((ways @ u).max() - math.hypot(*offset[:2]))
-    return Observed(ahead, float(np.abs(ways @ left).max()), max(0.0, float(out)), float((speed > SLOW).mean()))
+    speed = np.linalg.norm(paths[:, -1] - paths[:, -1 - back], axis=1) / 0.1
+    ahead = float((paths @ u).max() - math.hypot(*offset[:2]))
+    return Observed(ahead, float(np.abs(paths @ left).max()), max(0.0, float(out)), float((speed > SLOW).mean()))
 
 
 @dataclass(frozen=True)

@@ -128,7 +128,7 @@ def _of(
             cut += 1
     bad = sum(any(one.windows[VIOLATED] for one in seen) for _, seen in judged)
     wanted = max(0, bound.needed - len(judged))
-    name, why = _said(bad, len(judged), total, cut, wanted)
+    name, why = _decided(bad, len(judged), total, cut, wanted)
     all_seen = [one for _, seen in judged for one in seen]
     counted = sum((one.breaches for one in all_seen), Counter[str]())
     return AssumptionVerdict(
@@ -139,7 +139,7 @@ def _of(
     )  # fmt: skip
 
 
-def _said(bad: int, judged: int, total: Mapping[str, int], cut: int, wanted: int) -> tuple[Name, str]:
+def _decided(bad: int, judged: int, total: Mapping[str, int], cut: int, wanted: int) -> tuple[Name, str]:
     if bad:
         return "VIOLATED", ""
     if total.get(NO_VALUE):

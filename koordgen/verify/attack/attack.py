@@ -216,7 +216,7 @@ class _AttackSearch:
         self.spent = False
         self.units = 0
         # (number of judged states, number of units of work) when the attack last found a new state
-        self.news = 0, 0
+        self.last_found = 0, 0
 
     def clock(self) -> float:
         return self.computing() + self.waited
@@ -269,11 +269,11 @@ class _AttackSearch:
         """Count one unit of work: an attempt to find a state or to run a step.
 
         Raises BudgetSpent if the time budget is used up, or if the last STALE units found no new state."""
-        if len(self.judge.known) > self.news[0]:
-            self.news = len(self.judge.known), self.units
+        if len(self.judge.known) > self.last_found[0]:
+            self.last_found = len(self.judge.known), self.units
         self.units += 1
         self.spent = self.clock() > self.until
-        if self.spent or self.units - self.news[1] > STALE:
+        if self.spent or self.units - self.last_found[1] > STALE:
             raise BudgetSpent
 
     # Attack of initial states and first rounds

@@ -57,7 +57,7 @@ _ANEW = "run `koordgen prove` again: it writes a new file if it finds a contradi
 
 
 class BadFile(Exception):
-    """Raised if a contradiction file is invalid. The message gives the reason; `help` tells the user what to do."""
+    """Raised if a contradiction file is invalid. The message is the reason; `help` is advice for the user."""
 
     def __init__(self, message: str, help: str = _ANEW) -> None:
         super().__init__(message)

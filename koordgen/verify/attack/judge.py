@@ -353,17 +353,18 @@ class TrialJudge:
         self.reasons[event, ""] = why
         return UnusableStep(why)
 
-    def _fault(self, event: str, told: str, reason: str = "") -> VerdictBreach | None:
+    def _fault(self, event: str, message: str, reason: str = "") -> VerdictBreach | None:
         """Return a contradiction if `(well-defined)` is PROVED and claims that the given fault cannot occur.
 
-        `told`: text of the fault. `reason`: reason of a discarded event; "" for an internal error of the semantics."""
+        `message`: text of the fault.
+        `reason`: reason why the event was discarded, or "" for an internal error of the semantics."""
         where = "init" if event == INIT else f"event {event}"
-        _, claimed, within = told.partition(PROVED_RIGHT)
+        _, claimed, within = message.partition(PROVED_RIGHT)
         if not is_covered(within if claimed else reason):
             if not reason:
-                raise self._unusable(event, told)
+                raise self._unusable(event, message)
             return None
-        return VerdictBreach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
+        return VerdictBreach(WELL_DEFINED, f"{where} has no result: {message}") if self.defined else None
 
     # Execution of whole trials
 
