@@ -137,7 +137,7 @@ def _start_noise(bundle: Mapping[str, bytes]) -> float:
 
 
 def _texts(checked: Checked) -> dict[int, str]:
-    """Return the assumptions of a program as line -> text in Koord."""
+    """Return the assumptions of a program, as line number -> text of the assumption in Koord."""
     return {
         a.span.line: to_koord(a.formula).replace(f"{m.name}.", "")
         for m in checked.program.modules

@@ -40,7 +40,7 @@ class Bundles:
         self._made: dict[tuple[tuple[str, str], ...], Path] = {}
 
     def of(self, run: PlannedRun) -> Path:
-        """Return the path of a run's bundle. Build the bundle if no earlier run has used it.
+        """Return the path of a run's simulation bundle. Build the bundle if no earlier run has used the bundle.
 
         Exceptions of `build` are passed on."""
         key = _key(run.params)

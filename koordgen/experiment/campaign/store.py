@@ -132,7 +132,9 @@ def _opened(folder: Path, plan: CampaignPlan, resume: bool) -> CampaignStore:
             way = f"continue the {what} with --resume, or choose another folder with --out"
             raise FolderUnusable(f"{folder}: already contains a {what}", way)
         if why := difference(stored, plan):
-            raise FolderUnusable(f"{folder}: contains another {what}: {why}", "choose another folder with --out")
+            raise FolderUnusable(
+                f"{folder}: contains a {what} with another plan: {why}", "choose another folder with --out"
+            )
         store.results = _finished(folder / RESULTS)
     else:
         replace(folder / PLAN, json.dumps(plan.json(), indent=2) + "\n")

@@ -73,8 +73,8 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
 def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
     """Run a command to its end, and return its exit status and its output.
 
-    `stopped`: returns whether the campaign was stopped. If it was, the command is terminated and CampaignStopped is
-    raised."""
+    `stopped`: returns whether the campaign was stopped. Raises CampaignStopped after a stop, which terminates the
+        command."""
     # The command gets its own process group. So Ctrl-C in a terminal sends SIGINT to koordgen but not to the command;
     # koordgen then terminates the command.
     with subprocess.Popen(

@@ -54,8 +54,8 @@ def draw_reachsets(reachsets: Sequence[Reachset], file: Path) -> Path:
 
 
 def _title(found: Reachset) -> str:
-    past = f"{'reaches' if found.overshoot > 0 else 'stays'} {abs(found.overshoot):.2f} m "
-    past += f"{'beyond' if found.overshoot > 0 else 'before'} the target"
+    far = f"{abs(found.overshoot):.2f} m"
+    past = f"reaches {far} beyond the target" if found.overshoot > 0 else f"stays {far} before the target"
     new = f"contains {found.covered:.1%} of {found.samples[2]} new paths (claimed: {1 - found.epsilon:.0%})"
     return f"{found.platform}: {past}\n{new}"
 

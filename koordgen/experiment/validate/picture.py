@@ -84,5 +84,5 @@ def _counted(axes: Axes, own: Sequence[Sequence[BoxBreach]]) -> None:
     for run in own:
         if run:
             axes.axhline(max(b.distance for b in run), xmin=0.94, color="black", linewidth=0.6)
-    axes.set_title("histogram; black: maximum of each run", fontsize=9, loc="left")
+    axes.set_title("histogram; black lines: largest value of each run", fontsize=9, loc="left")
     axes.grid(alpha=0.3)

@@ -28,7 +28,8 @@ class ReachsetRequest:
     `offset`: position of the target relative to the nominal start (m, ENU).
     `epsilon`, `gamma`: with confidence 1 - gamma, at most a fraction epsilon of all paths leave a reachset.
     `start`: set of states from which the starts of paths are drawn.
-    `seconds`: time for which each robot is observed. If None, the time for the offset at 0.5 m/s, plus 4 s."""
+    `seconds`: time for which each robot is observed. If None, it is the time that a robot needs for the offset at
+        0.5 m/s, plus 4 s."""
 
     offset: Vector
     epsilon: float = EPSILON

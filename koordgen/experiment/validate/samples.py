@@ -23,7 +23,10 @@ HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
 
 @dataclass(frozen=True)
 class SampledAssumption:
-    """Assumption of the Koord program about a module. `index`: place of the assumption in `windows.jsonl`."""
+    """Assumption that a Koord program makes about a module.
+
+    `index`: place of the assumption in the lists of `windows.jsonl`.
+    `line`: line of the assumption in the program."""
 
     index: int
     module: str

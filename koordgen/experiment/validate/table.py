@@ -97,13 +97,13 @@ def _claim(found: ValidationReport) -> str:
 def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], commands: Commands) -> Iterator[str]:
     about = verdicts[0].assumption
     yield f"{about.module} ({found.program}:{about.line}): {found.texts.get(about.line, '')}"
-    confidence = f"{100 * (1 - found.bound.gamma):g} %"
+    percent = 100 * (1 - found.bound.gamma)
     head = (
         "platform",
         "verdict",
         "runs",
         "violated",
-        f"a run violates ({confidence})",
+        f"a run violates ({percent:g} %)",
         "windows",
         "violated",
         "in a window",

@@ -110,7 +110,7 @@ class Reachset:
     def json(self) -> dict[str, Any]:
         """Return the reachset as a JSON object, whose format is described in docs/reference/validate.md.
 
-        Lengths are rounded to a tenth of a millimetre."""
+        Lengths and times in arrays are rounded to four decimals (m, s)."""
         found = {k: v for k, v in vars(self).items() if k not in _ARRAYS}
         found |= {k: np.round(getattr(self, k), 4).tolist() for k in _ARRAYS if k != "sensitivity"}
         own = self.sensitivity

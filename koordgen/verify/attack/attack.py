@@ -80,7 +80,9 @@ class AttackReport(NamedTuple):
     seconds: float
 
     def of(self, step: str, invariant: str) -> tuple[int, str]:
-        """Return in how many states an invariant was evaluated after a step, and the reason if the number is 0."""
+        """Return the number of states in which an invariant was evaluated after a step.
+
+        If the number is 0, also return the reason; otherwise "" in its place."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -93,7 +95,7 @@ class BudgetSpent(Exception):
 
 
 class ContradictionFound(Exception):
-    """Raised if the result of a step contradicts a verdict PROVED."""
+    """Raised if the state after a step contradicts the verdict PROVED of an invariant."""
 
     def __init__(self, contradiction: Contradiction) -> None:
         super().__init__(contradiction.breach.why)
@@ -126,7 +128,7 @@ class RunPosition(NamedTuple):
 
 
 def beginning(state: State) -> RunPosition:
-    """Return the position at the beginning of a run from a state before `init` or at the start of a round."""
+    """Return the position at the beginning of a run. `state`: a state before `init`, or at the start of a round."""
     return RunPosition(state, state, state, frozenset(), ())
 
 
@@ -212,7 +214,7 @@ class _AttackSearch:
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
         self.runs: dict[str, int] = {}  # event name -> number of runs of the event
-        self.tried: dict[str, int] = {}  # step -> number of runs that were expected from the solver's states
+        self.tried: dict[str, int] = {}  # step -> assumed number of its runs from states of the solver
         self.spent = False
         self.units = 0
         # (number of judged states, number of units of work) when the attack last found a new state

@@ -167,7 +167,7 @@ def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFi
     if top["program"] != program_hash:
         raise BadFile(
             "the file was written for another program, or for another version of this one",
-            "give the program for which the file was written, without any change: each change changes its hash",
+            "give the program for which the file was written; it must be unchanged, so that its hash is the same",
         )
     proved = file.names(top["proved"], "proved")
     invariant = file.name(top["invariant"], "invariant", proved)

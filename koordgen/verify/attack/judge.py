@@ -135,8 +135,8 @@ class TrialJudge:
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
-        # step -> (function or step, invariant) of each PROVED loop invariant in the step's statements and in the
-        # functions that the step calls
+        # step -> PROVED loop invariants in the step and in the functions that the step calls, each as (name of the step
+        # or function, name of the invariant)
         self.at_heads: dict[str, list[tuple[str, str]]] = {}
         for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
             self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
@@ -275,7 +275,9 @@ class TrialJudge:
         return None
 
     def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
-        """Return whether a robot evaluates the guard of `event`: no event of higher priority runs in its place."""
+        """Return whether a robot may run `event` if the guard of `event` is true.
+
+        The result is False if an event of higher priority runs in place of `event`."""
         events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
         steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
         return any(step.event == event.name for step in steps)
@@ -286,7 +288,7 @@ class TrialJudge:
         """Run an event of robot `pid` that `ready` returned, and judge the state after the event.
 
         Returns None if the event is discarded for a reason that no verdict excludes. Raises UnusableStep."""
-        self.ports.begin(now, given)  # since the call of `ready`, the ports may have served other states
+        self.ports.begin(now, given)  # needed, because `ports` may have been used for another state since `ready`
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
@@ -482,8 +484,8 @@ def is_covered(reason: str) -> bool:
 def _seen(event: decl.Event, start: State, now: State) -> State:
     """Return the state that an event reads.
 
-    A transaction reads the present shared variables; any other event reads the shared variables of the round's
-    start."""
+    A transaction reads the present shared variables. Any other event reads the shared variables as they were at the
+    start of the round."""
     return now if event.lock is not None else now._replace(store=start.store)
 
 

@@ -80,7 +80,7 @@ class Models:
         if asked.useless:
             return None
         facts = tuple(
-            [LabelledFormula("condition on the wanted state", term, "", 0) for term in (*asked.reader.short(), *more)]
+            [LabelledFormula("condition on the state to find", term, "", 0) for term in (*asked.reader.short(), *more)]
         )
         query = replace(asked.obligation, facts=(*asked.obligation.facts, *facts))
         try:

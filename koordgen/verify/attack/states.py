@@ -29,7 +29,7 @@ from koordgen.runtime.values.points import Point, Pose
 from koordgen.verify.prove.report.model import exact_state, with_values
 from koordgen.verify.prove.report.reach import Pools
 
-VALUES = 16  # number of values of one type from which values are drawn
+VALUES = 16  # number of different values of one type that can be drawn
 VARIED = 3  # largest number of changes that make a variation of a state
 DRAWS = 6  # attempts to draw the initial sensor values of one robot so that `initially` holds
 ARRIVING = 0.4  # probability that the first proposed sensor values place the robot at its goal
@@ -152,7 +152,7 @@ class States:
             return (place + goal) / 2 if chance < 0.4 and isinstance(place, Point) else goal
         return self.value(type_, now)
 
-    # Variations of a state
+    # Variations of a state in a few variables
 
     def varied(self, state: State) -> State:
         """Return a variation of a state: a few variables get drawn values, or values copied from other variables."""
@@ -188,7 +188,7 @@ class States:
     # Random values of a type
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """Return the list of values from which values of a type are drawn.
+        """Return the list of values of a type that can be drawn.
 
         For a type that is not in BASE, such as a list or a record, the result is empty."""
         if type_ not in BASE:

@@ -89,7 +89,10 @@ def test_more_samples_go_on_with_those_that_are_there(capsys: pytest.CaptureFixt
     assert "55 more samples wanted" in capsys.readouterr().out
     assert len(runs()) == 5 and Path("out/runs/0001/began").stat().st_mtime_ns == first
     assert validate("--samples", "2", "--seed", "9") == 5
-    assert "out: contains another validation: other things are varied: seed=1:, not seed=9:" in capsys.readouterr().err
+    assert (
+        "out: contains a validation with another plan: other things are varied: seed=1:, not seed=9:"
+        in capsys.readouterr().err
+    )
     plan = CampaignPlan("app", "", "", (), (), 3)
     with (
         pytest.raises(store.FolderUnusable, match="out: contains a validation, not a campaign"),
