@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from koordgen.fleet import manifest, robots
+from koordgen.fleet import manifest
 from koordgen.lang.ir.types import GENERIC, NAMED
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.ops.checks import OWN
@@ -161,10 +161,11 @@ def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
 
 def test_robots_limit_is_the_wires() -> None:
     from koordgen.cli.base import values
+    from koordgen.lang.ir import types
     from koordgen.runtime.net.wire import MAX_ROBOTS
     from koordgen.verify.follow import read
 
-    assert robots.MOST_ROBOTS == values.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
+    assert types.MOST_ROBOTS == values.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
 
 
 @agents_by_name

@@ -1,6 +1,6 @@
-"""Commands for experiments: harnesses, campaign, validate, and commands for finished runs.
+"""Commands that simulate fleets (`sim`, `campaign`, `validate`) or show finished runs (`report`, `export`, `show`).
 
-Owns: the options, the output and the exit status of each.
-Offers: one module for each command.
+Owns: the execution of these commands, their output and their exit statuses.
+Offers: one module for each group of commands.
 Must not import: `cli.operate`.
 """

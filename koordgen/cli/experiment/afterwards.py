@@ -1,4 +1,4 @@
-"""`koordgen report`, `koordgen export` and `koordgen show`: documents about a finished run."""
+"""Commands `koordgen report`, `koordgen export` and `koordgen show`, which make documents of a finished run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from koordgen.lang import resources
 
 
 def afterwards(options: Namespace) -> int:
-    """Run one of these commands with the code of the harness that wrote the run."""
+    """Execute `report`, `export` or `show` with the code of the simulator, and print the result. Return 0."""
     sys.path.insert(0, str(resources.targets().parent))
     from koordgen.runtime.trace.schema import FORMAT, BadTrace
     from targets.sim.view import commands
@@ -24,14 +24,14 @@ def afterwards(options: Namespace) -> int:
         elif options.to == FORMAT:
             made, old = commands.upgrade(options.trace, options.out)
             if old == FORMAT:
-                console.notify(f"note: {options.trace} is of format {FORMAT} already; this is a copy")
+                console.notify(f"note: {options.trace} already has the format {FORMAT}; the new file is a copy")
         else:
             made = commands.export(options.trace, options.to, options.out)
     except CannotMake as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.hint) from None
     except BadTrace as error:
         raise console.Failure(
-            console.WRONG, str(error), "a run's folder is expected, or the trace.jsonl in it"
+            console.WRONG, str(error), "give the folder of a run, or the file trace.jsonl in this folder"
         ) from None
     except OSError as error:
         raise console.Failure(

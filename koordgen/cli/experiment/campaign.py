@@ -1,4 +1,4 @@
-"""`koordgen campaign`: many runs of one fleet."""
+"""Command `koordgen campaign`: executes many simulation runs of one fleet, and prints statistics of their results."""
 
 from __future__ import annotations
 
@@ -29,29 +29,26 @@ from koordgen.fleet.manifest import Target
 SUMS = "SHA256SUMS"
 SCENARIO = "scenario"
 STATUS = {"held": console.HOLDS, "violated": console.VIOLATED, "failed": console.SURROUNDINGS}
-OWN = {
-    "out",
-    "live",
-    "settings",
-    "invoked-as",
-}  # options of a run that a campaign sets itself or cannot use
+OWN = {"out", "live", "settings", "invoked-as"}  # options of a run that the user cannot vary in a campaign
 
 
 def campaign(options: Namespace) -> int:
-    """Plan the campaign, claim its folder, execute the runs, print the table."""
+    """Plan a campaign, lock its folder, execute its runs, and print the table of results.
+
+    Return the exit status of the command. Raises Failure."""
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     try:
         varied = vary.parse(options.vary)
         count = options.runs or vary.natural(varied)
         if count is None:
-            raise vary.BadVary("say how many runs with --runs N")
+            raise vary.BadVary("the number of runs is missing; use --runs N")
         runs = plan.runs(varied, count, harness.settings)
         _check_variation(runs, harness)
     except vary.BadVary as error:
-        way = "--vary takes seed, seed=1:70, NAME=LO:HI and NAME=A,B,C, with commas between them"
+        way = "give --vary items like seed, seed=1:70, NAME=LO:HI or NAME=A,B,C, separated by commas"
         raise console.Failure(console.USAGE, str(error), way) from None
     if options.verdict and not Path(options.verdict).is_file():
-        raise console.Failure(console.WRONG, f"--verdict {options.verdict}: no such file")
+        raise console.Failure(console.WRONG, f"--verdict {options.verdict}: no such file; give the path of a script")
     options.collected = []
     bundles, app = building.planned(options, [harness.name])
     building.require_packages()
@@ -82,7 +79,7 @@ def campaign(options: Namespace) -> int:
 
 
 def _verdict(kept: store.CampaignStore) -> str:
-    """Return the worst outcome of all runs: `held`, `failed` (a run could not be made) or `violated`."""
+    """Return the worst outcome of all runs: `violated`, else `failed` (a run could not be executed), else `held`."""
     outcomes = {result.outcome for result in kept.results.values()}
     return "violated" if "violated" in outcomes else "failed" if "failed" in outcomes else "held"
 
@@ -103,21 +100,22 @@ def _show_table(
             console.print_document(options, {"verdict": verdict, "folder": str(kept.folder), **found})
             return
         print(text, end="", file=console.output(options))
-        print(f"table and pictures: {kept.folder}", file=console.output(options))
+        print(f"table and plots are in {kept.folder}", file=console.output(options))
     except OSError:
-        if whole:  # otherwise the reason why the campaign ended is reported
+        # If the campaign ended early, the caller reports the reason for its early end, which matters more.
+        if whole:
             raise
 
 
 def _executor(options: Namespace) -> executor.Executor:
     if options.cluster:
         return executor.DaskCluster(options.cluster)
-    # Runs in real time would disturb one another.
+    # By default, only one run in real time is executed at a time, because such runs would slow each other down.
     return executor.LocalPool(options.jobs or ((os.cpu_count() or 1) if options.lockstep else 1))
 
 
 def _fixed(options: Namespace) -> list[str]:
-    """Return the options that all runs pass to the bundle."""
+    """Return the command-line options that the bundle gets in all runs of a campaign."""
     found = [] if options.duration is None else [f"--duration={options.duration:g}"]
     return [*found, "--lockstep"] if options.lockstep else found
 
@@ -127,7 +125,9 @@ def _digest(data: bytes) -> str:
 
 
 def _builder(options: Namespace, harness: Target) -> drive.Build:
-    """Return a function that builds bundles silently. Diagnostics were already reported."""
+    """Return a function that builds a simulation bundle with given params.
+
+    The function prints no diagnostics, because they were printed when the campaign was planned."""
 
     def build(params: Mapping[str, str], folder: Path) -> None:
         from koordgen.build.pipeline import plan_file
@@ -144,20 +144,20 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
 
 
 def _check_variation(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
-    """Check that the named things may vary, and that the manifest allows the values of settings.
+    """Check that the user may vary all varied names, and that the manifest allows all values of varied settings.
 
-    Raises BadVary."""
+    Raises BadVary if not."""
     for name in OWN.intersection(runs[0].flags):
-        raise vary.BadVary(f"{name}: each run has its own")
+        raise vary.BadVary(f"{name} cannot be varied in a campaign")
     for name, value in dict.fromkeys(item for run in runs for item in _settings(run, harness).items()):
         if why := harness.settings[name].misfit(value):
             raise vary.BadVary(f"{name}={value}: {why}")
 
 
 def _settings(run: plan.PlannedRun, harness: Target) -> dict[str, Any]:
-    """Return the harness' settings of a run.
+    """Return the varied settings of the simulation harness for one run, as name -> value.
 
-    A value becomes a number or bool unless the setting is a text."""
+    The text of a value becomes a number or a bool, unless the setting has the type string."""
     found: dict[str, Any] = dict(run.settings)
     for name, text in run.settings.items():
         if harness.settings[name].type != "string":
@@ -168,15 +168,16 @@ def _settings(run: plan.PlannedRun, harness: Target) -> dict[str, Any]:
 
 
 def _scenarios(runs: Sequence[plan.PlannedRun], bundle: Mapping[str, bytes]) -> dict[str, str]:
-    """Return the contents of the varied scenario files as JSON, by path, since workers lack these files.
+    """Read the scenario files that are varied, and return their contents as path -> JSON text.
 
-    Raises Rejected, with line and column."""
+    A campaign sends the contents to its workers, which cannot read these files. Raises Rejected, with line and
+    column."""
     paths = dict.fromkeys(run.flags[SCENARIO] for run in runs if SCENARIO in run.flags)
     return {path: json.dumps(read_scenario(path, bundle, math.inf)) for path in paths}
 
 
 def _representative_runs(runs: Sequence[plan.PlannedRun], cells: Sequence[Mapping[str, str]]) -> list[plan.PlannedRun]:
-    """Return the runs in which a value of a varied list occurs for the first time, and the last run."""
+    """Return the runs to check before a campaign: for each value of a varied list its first run, and the last run."""
     seen: set[tuple[str, str]] = set()
     found = []
     for run in runs[: len(cells)]:
@@ -188,7 +189,9 @@ def _representative_runs(runs: Sequence[plan.PlannedRun], cells: Sequence[Mappin
 
 
 def _check_accepted(bundle: Path, runs: Sequence[plan.PlannedRun], fixed: Sequence[str], harness: Target) -> None:
-    """Check that the bundle accepts the options of these runs. Nothing is run. Raises Failure."""
+    """Check that the bundle accepts the command-line options of the given runs, without executing the runs.
+
+    Raises Failure with the bundle's error message."""
     for run in runs:
         flags = [*fixed, *_flags(run)]
         command = [sys.executable, str(bundle), "--check", *flags]
@@ -197,10 +200,10 @@ def _check_accepted(bundle: Path, runs: Sequence[plan.PlannedRun], fixed: Sequen
             said = [line for line in done.stderr.splitlines() if "error:" in line]
             why = said[-1].partition("error:")[2].strip() if said else done.stderr.strip()
             known = ", ".join(sorted(harness.settings))
-            way = f"--vary takes seed, param.NAME, options of `koordgen {harness.name}`, and its settings: {known}"
+            way = f"vary seed, param.NAME, an option of `koordgen {harness.name}`, or one of its settings: {known}"
             raise console.Failure(console.USAGE, f"run {run.name} ({shlex.join(flags)}): {why}", way)
         if done.returncode:
-            lines = done.stderr.strip().splitlines() or ["it said nothing"]
+            lines = done.stderr.strip().splitlines() or [f"run {run.name}: the bundle failed without a message"]
             more = [line.strip().removeprefix("help: ") for line in lines[1:]]
             raise console.Failure(done.returncode, lines[0].removeprefix("error: "), "; ".join(more))
 
@@ -212,7 +215,7 @@ def _flags(run: plan.PlannedRun) -> list[str]:
 def _jobs(
     options: Namespace, out: Path, fixed: Sequence[str], harness: Target, scenarios: Mapping[str, str]
 ) -> Callable[[plan.PlannedRun], Job]:
-    """Return a function that makes the job of a run."""
+    """Return a function that converts a planned run into a job for an executor."""
     script = str(Path(options.verdict).resolve()) if options.verdict else ""
 
     def job(run: plan.PlannedRun) -> Job:
@@ -233,13 +236,14 @@ def _ended(
     line: ProgressLine,
     again: str = "--resume",
 ) -> BaseException | None:
-    """Execute the runs.
+    """Execute the runs of a campaign with the function `carry_out`.
 
-    Return why they ended early, or None. Finished runs are stored; `again` continues with them."""
-    resumable = ("{} of {} runs are finished; " + f"{again} goes on from there").format
+    Return None if all runs were executed, or else the exception that ended the campaign early. After an early end, a
+    message says that `again` (an option or a command) executes the remaining runs."""
+    resumable = ("{} of {} runs are finished; " + f"{again} executes the others").format
     try:
-        with _noticed_signals() as noticed:
-            carry_out(lambda: bool(noticed))
+        with _recorded_signals() as received:
+            carry_out(lambda: bool(received))
     except KeyboardInterrupt as interrupt:
         line.end()
         print(resumable(len(kept.results), planned), file=sys.stderr)
@@ -247,7 +251,7 @@ def _ended(
     except drive.DiskFull:
         line.end()
         said = f"the disk is full; {resumable(len(kept.results), planned)}"
-        return console.Failure(console.SURROUNDINGS, f"{kept.folder}: {said}", "make room")
+        return console.Failure(console.SURROUNDINGS, f"{kept.folder}: {said}", "free disk space")
     except executor.ClusterUnreachable as lost:
         line.end()
         return console.Failure(console.SURROUNDINGS, f"{lost}; {resumable(len(kept.results), planned)}", lost.help)
@@ -256,7 +260,7 @@ def _ended(
 
 
 def _single(options: Namespace, run: plan.PlannedRun, fixed: Sequence[str], harness: Target, folder: Path) -> list[str]:
-    """Return the command that repeats one run, for its report."""
+    """Return the command line that repeats one run of a campaign. The report of the run shows the command line."""
     params = [f"--param={text}" for text in [*options.param, *(f"{n}={v}" for n, v in run.params.items())]]
     settings = [f"# {name}: {value}" for name, value in run.settings.items()]
     words = ["koordgen", harness.name, options.program, f"--fleet={options.fleet}", *params, *fixed, *_flags(run)]
@@ -264,13 +268,15 @@ def _single(options: Namespace, run: plan.PlannedRun, fixed: Sequence[str], harn
 
 
 @contextmanager
-def _noticed_signals() -> Iterator[list[int]]:
-    """Record SIGINT, SIGTERM and SIGHUP, so that the campaign ends where it can be resumed."""
-    noticed: list[int] = []
+def _recorded_signals() -> Iterator[list[int]]:
+    """Record SIGINT, SIGTERM and SIGHUP instead of ending the process, so that the caller can end in an orderly way.
+
+    Yields the list of received signal numbers. A signal that the process ignores stays ignored."""
+    received: list[int] = []
     watched = [s for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(s) != signal.SIG_IGN]
-    before = {each: signal.signal(each, lambda number, _: noticed.append(number)) for each in watched}
+    before = {each: signal.signal(each, lambda number, _: received.append(number)) for each in watched}
     try:
-        yield noticed
+        yield received
     finally:
         for each, handler in before.items():
             signal.signal(each, handler)

@@ -1,4 +1,7 @@
-"""`koordgen sim --follow TRACE`: checks that trace, program and fleet fit together."""
+"""Command `koordgen sim --follow TRACE`: checks that a counterexample trace fits the program and the fleet file.
+
+The result is a plan, with which the simulator executes the counterexample.
+"""
 
 from __future__ import annotations
 
@@ -25,14 +28,19 @@ REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplicatio
 
 
 def plan_of_trace(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
-    """Return the params that only the trace has, and the plan for the bundle. Raises Rejected, Failure."""
+    """Return params and the simulator's plan for executing a counterexample trace.
+
+    The params are those that the trace sets, but neither the fleet file nor `--param`. Raises Rejected, Failure."""
     for name in REFUSED:
         if getattr(options, name) not in (None, False):
-            raise Failure(USAGE, f"--{name} does not go with --follow", "the trace determines all events of the run")
+            raise Failure(
+                USAGE, f"--{name} does not go with --follow",
+                f"leave out --{name}, because the trace determines all events of the run",
+            )  # fmt: skip
     try:
         given = read(Path(options.follow))
     except BadTrace as error:
-        raise Failure(WRONG, str(error), "name a trace that `koordgen explore` or `prove` wrote with --trace") from None
+        raise Failure(WRONG, str(error), "give a trace that `koordgen explore` or `prove` wrote with --trace") from None
     program, more = _program(options, given)
     program_hash, functions = hash_of(program, options.program, options.functions)
     try:
@@ -40,11 +48,13 @@ def plan_of_trace(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]
     except CannotExecute as error:
         raise Failure(INCONCLUSIVE if isinstance(error, ModelOnly) else WRONG, str(error), error.help) from None
     except CannotCall as error:
-        raise Failure(WRONG, str(error), "name it with --functions") from None
+        raise Failure(WRONG, str(error), "give the Python file of the extern functions with --functions") from None
 
 
 def _program(options: Namespace, given: CounterexampleTrace) -> tuple[Program, dict[str, Value]]:
-    """Return the program with the params of fleet and trace, and the params that only the trace has."""
+    """Return the program with the params of fleet file, `--param` and trace, and the params that only the trace sets.
+
+    Raises Rejected, and Failure if the trace does not fit the program or the fleet file."""
     from koordgen.fleet import manifest
 
     checked = check_file(options.program)
@@ -53,36 +63,40 @@ def _program(options: Namespace, given: CounterexampleTrace) -> tuple[Program, d
     if len(fleet.robots) != given.n_sys:
         robots = f"{given.n_sys} robot{'s' * (given.n_sys != 1)}"
         raise Failure(
-            WRONG, f"{given.path} is of {robots}, {options.fleet} has {len(fleet.robots)}",
-            f"name a fleet of {given.n_sys}, or look for a counterexample with --robots {len(fleet.robots)}",
+            WRONG, f"{given.path} is the trace of {robots}, but {options.fleet} has {len(fleet.robots)}",
+            f"give a fleet file with {robots}, or search for a counterexample with --robots {len(fleet.robots)}",
         )  # fmt: skip
     try:
         own = {**from_file, **params(options.param)}
-        told = _told(checked.program, given)
-        asked = {name: told[name] for name in given.given}
+        of_trace = _params_of_trace(checked.program, given)
+        asked = {name: of_trace[name] for name in given.given}
         more = {name: value for name, value in asked.items() if name not in own}
         program = with_params(checked.program, {**more, **own})
-        versions = [with_params(checked.program, values) for values in (asked, own, told, {})]
+        versions = [with_params(checked.program, values) for values in (asked, own, of_trace, {})]
     except BadParam as error:
-        raise Failure(WRONG, f"{given.path}: {error}", "check the params of trace, fleet and command") from None
+        way = "check the params in the trace, in the fleet file and in --param"
+        raise Failure(WRONG, f"{given.path}: {error}", way) from None
     for name, here in initial(program, given.n_sys).params.items():
         if not agree(given.params[name], plain(here)):
             raise Failure(
-                WRONG, f"{given.path}: param {name} is {given.params[name]!r} in the trace, but {plain(here)!r} here",
-                f"look for a counterexample with --fleet {options.fleet} and the same --param",
+                WRONG,
+                f"{given.path}: param {name} is {given.params[name]!r} in the trace, but {plain(here)!r} in this run",
+                f"search for the counterexample again, with --fleet {options.fleet} and the --param of this run",
             )  # fmt: skip
     hashes = [hash_of(version, options.program, options.functions)[0] for version in versions]
-    if given.program_hash not in hashes:  # equal params may be written in different ways
+    # A program's hash depends on the notation of its params' values, so each of the possible notations is hashed.
+    if given.program_hash not in hashes:
         raise Failure(
-            WRONG, f"{given.path} is of a program with the hash {given.program_hash or '(none)'}; {options.program} "
-            f"has {hashes[0]}",
+            WRONG,
+            f"{given.path} is the trace of a program with the hash {given.program_hash or '(none)'}; "
+            f"{options.program} has the hash {hashes[0]}",
             "the program or its extern functions have changed: search for the counterexample again",
         )  # fmt: skip
     return program, more
 
 
-def _told(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
-    """Return the trace's params in the form of `--param`. Raises Failure."""
+def _params_of_trace(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
+    """Return the values of params in a trace, in the form that `--param` has. Raises Failure if they do not fit."""
     types = {p.name: p.type for p in program.params}
     if set(given.params) != set(types):
         raise Failure(
@@ -93,7 +107,7 @@ def _told(program: Program, given: CounterexampleTrace) -> dict[str, Value]:
         values = {name: from_trace(value, types[name], nearest) for name, value in given.params.items()}
         return {name: as_given(plain(value), types[name]) for name, value in values.items()}
     except (BadValue, ValueError, TypeError) as error:
-        raise Failure(WRONG, f"{given.path}: its params do not fit this program: {error}") from None
+        raise Failure(WRONG, f"{given.path}: the params in the trace do not fit {program.path}: {error}") from None
 
 
 def _names(params: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Commands of harnesses: each builds the harness' bundle, runs it, and passes options on."""
+"""Commands of harnesses, such as `koordgen sim`: build a simulation bundle and run it with the command's options."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from koordgen.cli.base import building, console
 from koordgen.cli.base.options import PASSED
 from koordgen.fleet import manifest
 
-# Fleet of one robot in the middle of a free space: metres (local ENU), radians, seconds.
+# Default fleet file: one robot in the middle of an empty space. Metres (local ENU), radians, seconds.
 ALONE = """\
 delta: 0.1
 origin: {{latitude: 47.397742, longitude: 8.545594, altitude: 488.0}}
@@ -29,18 +29,20 @@ robots:
 
 
 def harness(options: Namespace) -> int:
-    """Build and run a bundle. Return its exit status. Without a fleet file one default robot runs."""
+    """Build a simulation bundle, run it, and return the exit status of the run.
+
+    Without a fleet file, one robot runs alone. Raises Failure."""
     if options.fleet is not None:
         return _harness(options)
     if options.follow is not None:
         raise console.Failure(
-            console.USAGE, "--follow needs --fleet", "name a fleet of as many robots as the trace has"
+            console.USAGE, "--follow needs --fleet", "give a fleet file with as many robots as the trace has"
         )
     with tempfile.TemporaryDirectory(prefix="koordgen-") as folder:
         options.fleet = f"{folder}/fleet.yaml"
         target = manifest.load(options.command).alone
         Path(options.fleet).write_text(ALONE.format(target=target), encoding="utf-8")
-        more = "a fleet file names more robots (`koordgen docs fleet`)"
+        more = "for more robots, see `koordgen docs fleet`"
         console.notify(f"note: no --fleet: one simulated {target} runs alone; {more}")
         return _harness(options)
 
@@ -76,9 +78,9 @@ def _harness(options: Namespace) -> int:
 
 
 def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> None:
-    """Print the run's results as JSON.
+    """Print the results of a run as JSON.
 
-    Nothing for a run without a summary, whose error was already reported."""
+    A run that failed leaves no `summary.json`. Nothing is printed then, because the run has reported its error."""
     summary = out / "summary.json"
     try:
         if summary.stat().st_mtime < began:
@@ -91,7 +93,7 @@ def _print_verdict(options: Namespace, out: Path, status: int, began: float) -> 
 
 
 def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """Return the params of a counterexample to execute, and the plan for the bundle; None without one."""
+    """Return the params and the plan for executing the counterexample in `--follow`; ({}, None) without the option."""
     if options.follow is None:
         return {}, None
     from koordgen.cli.experiment.follow import plan_of_trace
@@ -100,9 +102,8 @@ def _followed(options: Namespace) -> tuple[dict[str, Any], dict[str, Any] | None
 
 
 def _run(command: list[str], options: Namespace) -> int:
-    # On a first signal the child ends its run and writes its report, on a second one it ends at once. In its own
-    # process group it gets one, whether a signal is sent to this process alone or, like a terminal's Ctrl-C, to its
-    # whole group.
+    # At the first signal, the run ends and writes its report; at a second signal, it ends immediately. The run has its
+    # own process group, so that a Ctrl-C in the terminal does not reach it twice: directly and by `pass_on`.
     started: list[subprocess.Popen[bytes]] = []
     early: list[int] = []
 
@@ -111,9 +112,8 @@ def _run(command: list[str], options: Namespace) -> int:
         started[0].send_signal(asked) if started else early.append(asked)
 
     watched = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    heard = [
-        each for each in watched if signal.getsignal(each) != signal.SIG_IGN
-    ]  # nohup ignores SIGHUP, so the child does, too
+    # A signal that this process ignores, such as SIGHUP under nohup, is not passed on: the run ignores it, too.
+    heard = [each for each in watched if signal.getsignal(each) != signal.SIG_IGN]
     before = {each: signal.signal(each, pass_on) for each in heard}
     try:
         started.append(subprocess.Popen(command, stdout=console.output(options), process_group=0))
@@ -124,15 +124,15 @@ def _run(command: list[str], options: Namespace) -> int:
         for each, handler in before.items():
             signal.signal(each, handler)
     if status < 0:
-        message = f"the run was killed by {signal.Signals(-status).name}; it left no report"
+        message = f"the run was killed by {signal.Signals(-status).name} and left no report"
         raise console.Failure(console.SURROUNDINGS, message)
     return status
 
 
 def read_scenario(path: str, bundle: Mapping[str, bytes], duration: float | None) -> Any:
-    """Return the scenario file in the bundle's form, for a run of `duration` or the default length.
+    """Read and check a scenario file, and return its content as the simulation bundle expects it.
 
-    Raises Rejected."""
+    `duration`: length of the run in seconds; None for the default length. Raises Rejected with all errors."""
     from koordgen.build.pipeline import Rejected, read_source
     from koordgen.fleet.scenario import read
     from koordgen.lang.diagnostics import Diagnostic

@@ -1,4 +1,4 @@
-"""`koordgen validate`: a program's port assumptions against the simulated platforms of a fleet."""
+"""Command `koordgen validate`: checks a program's assumptions about its ports in simulation runs of a fleet."""
 
 from __future__ import annotations
 
@@ -37,15 +37,17 @@ FLAGS = ("--lockstep", "--windows")
 
 
 def validate(options: Namespace) -> int:
-    """Run the command: sample, judge, suggest weaker assumptions, print. Return its exit status."""
+    """Execute simulation runs, judge the program's assumptions, suggest weaker assumptions, and print a report.
+
+    Return the exit status of the command. Raises Failure, Rejected."""
     checked = check_file(options.program)
     if not any(module.assumptions for module in checked.program.modules):
-        way = "state assumptions under `using`, such as `assume position' in Rect(position, target)`"
-        raise console.Failure(console.INCONCLUSIVE, f"{options.program} assumes nothing of its ports", way)
+        way = "write assumptions under `using`, such as `assume position' in Rect(position, target)`"
+        raise console.Failure(console.INCONCLUSIVE, f"{options.program} has no assumptions about its ports", way)
     count = options.samples or ProbabilityBound(options.epsilon, options.gamma).needed
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
-    aside = Namespace(**{**vars(options), "format": "text"})  # standard output gets one document only
+    aside = Namespace(**{**vars(options), "format": "text"})  # only the report may be printed as JSON
     bundles, app = building.planned(aside, [harness.name])
     building.require_packages()
     out = Path(options.out or f"validate-{app}")
@@ -68,7 +70,9 @@ def _report(
     options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.CampaignStore, count: int,
     whole: bool, line: ProgressLine,
 ) -> table.ValidationReport:  # fmt: skip
-    """Evaluate the samples. `whole`: nothing ended the sampling early. Raises OSError."""
+    """Judge the assumptions from the finished runs, and return the report.
+
+    `count`: number of wanted runs. `whole`: true if the runs did not end early. Raises OSError."""
     numbers = [k for k in sorted(kept.results) if k < count]
     finished = [sample for k in numbers if (sample := samples.read(kept.run_folder(f"{k:04d}"), k))]
     read = {sample.run for sample in finished}
@@ -96,10 +100,10 @@ def _sampled(
     out: Path,
     line: ProgressLine,
 ) -> tuple[store.CampaignStore, BaseException | None]:
-    """Return the runs, including those that an earlier call finished, and what ended them early.
+    """Execute the simulation runs that are not in the folder `out` yet.
 
-    Further samples of the same program and fleet continue with existing ones, since a sample is identified by its seed
-    alone."""
+    The folder may contain runs of an earlier command for the same program and fleet, because a run depends only on its
+    seed. Return all stored runs, and None or the exception that ended the execution early."""
     fixed = [f"--duration={options.seconds:g}", *FLAGS]
     seeds = [str(options.seed + k) for k in range(count)]
     runs = [PlannedRun(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
@@ -121,7 +125,7 @@ def _sampled(
 
 
 def _command(options: Namespace, seed: int, out: Path) -> str:
-    """Return the command that repeats a sample, with its report."""
+    """Return the command line that repeats a simulation run of a validation and writes a report of the run."""
     given = [f"--param={text}" for text in options.param]
     given += [f"--functions={options.functions}"] if options.functions else []
     words = ["koordgen", options.harness, options.program, f"--fleet={options.fleet}", *given]
@@ -133,7 +137,7 @@ def _start_noise(bundle: Mapping[str, bytes]) -> float:
 
 
 def _texts(checked: Checked) -> dict[int, str]:
-    """Return the assumptions as the program has them, by line."""
+    """Return the assumptions of a program, as line number -> text of the assumption in Koord."""
     return {
         a.span.line: to_koord(a.formula).replace(f"{m.name}.", "")
         for m in checked.program.modules
@@ -148,7 +152,9 @@ def _suggested(
     found: Sequence[samples.RunSample],
     line: ProgressLine,
 ) -> list[Suggestion]:
-    """Return suggestions for each violated assumption; none without a solver, which is reported."""
+    """Return suggested replacements for each violated assumption.
+
+    If the solver is missing, a note is printed and the list is empty."""
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
     if not violated:
         return []
@@ -163,7 +169,7 @@ def _suggested(
             ]
     except SolverMissing as error:
         line.end()
-        console.notify(f"note: {error}: suggestions for weaker assumptions were not proved")
+        console.notify(f"note: {error}: no weaker assumptions are suggested, because they cannot be proved")
         return []
 
 
@@ -188,37 +194,39 @@ def _print_report(
         store.replace(out / "validation.json", json.dumps(document, indent=2) + "\n")
         store.replace(out / "validation.txt", text)
     except OSError:
-        if whole:  # otherwise the reason why the sampling ended is reported
+        # If the validation ended early, the caller reports the reason for its early end, which matters more.
+        if whole:
             raise
     if options.format == "json":
         print(json.dumps(document, indent=2), flush=True)
     else:
         print(coloured_verdicts(text, sys.stdout), end="")
-        print(f"all of it: {out}" + (f"; picture: {found.picture}" if found.picture else ""))
+        print(f"report and runs are in {out}" + (f"; picture: {found.picture}" if found.picture else ""))
 
 
-# `koordgen validate --reachsets`: positions that each platform of the fleet can reach on its path to one offset.
+# `koordgen validate --reachsets`: computes the positions that each platform can reach on the path to a target.
 
 FOLDER, RUNS = "reachsets", "probes"
 
 
 def make_reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
-    """Return the files and the comparisons of the platforms for JSON; `text` is for people.
+    """Compute and write the reachsets of all platforms of the fleet. Reachsets of an earlier command are replaced.
 
-    Each call computes them again. Raises OSError, ClusterUnreachable."""
+    Return for the JSON report: the offset, the written files, the comparisons of platforms, and under `text` a table.
+    Raises Failure, OSError, ClusterUnreachable."""
     folder = out / FOLDER
     asked = ReachsetRequest(options.offset, options.epsilon, options.gamma, options.seed)
     show: Callable[[str], None] = (lambda _: None) if options.quiet else (lambda text: line.show(f"reachsets: {text}"))
     try:
-        with closing(campaigns._executor(options)) as executor, campaigns._noticed_signals() as noticed:
+        with closing(campaigns._executor(options)) as executor, campaigns._recorded_signals() as received:
             runs = store.cleared(folder / RUNS)
-            found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(noticed))
+            found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(received))
         files = write_files(found, folder)
     except BadProbe as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except drive.DiskFull:
         raise console.Failure(
-            console.SURROUNDINGS, f"{folder}: the disk is full", "make room; the same command goes on"
+            console.SURROUNDINGS, f"{folder}: the disk is full", "free disk space, then repeat the command"
         ) from None
     finally:
         line.end()

@@ -1,4 +1,4 @@
-"""Campaign driver: submits runs to the executor and stores their results."""
+"""Campaign driver: submits simulation runs to an executor and stores the results of the runs."""
 
 from __future__ import annotations
 
@@ -22,16 +22,17 @@ Build = Callable[[Mapping[str, str], Path], None]
 
 
 class DiskFull(Exception):
-    """Raised if the disk is full. All finished runs are stored."""
+    """Raised if the disk is full. The results of finished runs are already stored."""
 
 
 class Bundles:
-    """Bundles of a campaign: one for each combination of varied params.
+    """Simulation bundles of a campaign: one for each combination of values of the varied params.
 
-    A bundle is built when the first run that uses it begins, and removed after the last such run.
+    A bundle is built before the first run that uses the bundle, and deleted after the last run that uses it.
 
-    `build`: writes a bundle with the given params into a folder.
-    `name`: the name of the bundle's own folder inside that folder."""
+    `folder`: holds a numbered subfolder for each combination.
+    `build`: function that builds a bundle with the given params into the given subfolder.
+    `name`: name of the bundle in each subfolder."""
 
     def __init__(self, folder: Path, name: str, build: Build, runs: Sequence[PlannedRun]) -> None:
         self._folder, self._name, self._build = folder, name, build
@@ -39,7 +40,9 @@ class Bundles:
         self._made: dict[tuple[tuple[str, str], ...], Path] = {}
 
     def of(self, run: PlannedRun) -> Path:
-        """Return the bundle of a run; build it if necessary. Raises what `build` raises."""
+        """Return the path of a run's simulation bundle. Build the bundle if no earlier run has used the bundle.
+
+        Exceptions of `build` are passed on."""
         key = _key(run.params)
         if key not in self._made:
             own = self._folder / str(len(self._made))
@@ -48,7 +51,7 @@ class Bundles:
         return self._made[key] / self._name
 
     def done(self, run: PlannedRun) -> None:
-        """Release the bundle of a finished run."""
+        """Record that a run is finished. Delete the run's bundle if no other run needs the bundle."""
         key = _key(run.params)
         self._left[key] -= 1
         if not self._left[key]:
@@ -65,13 +68,13 @@ def execute_runs(
     executor: Executor,
     bundles: Bundles,
     job: Callable[[PlannedRun], Job],
-    tell: Callable[[str], None],
+    report_progress: Callable[[str], None],
     interrupted: Callable[[], bool],
 ) -> None:
-    """Execute the runs that are not finished.
+    """Execute all runs of a campaign that have no stored result yet, and store the result of each run.
 
-    Raises DiskFull, ClusterUnreachable, and KeyboardInterrupt if `interrupted` returns True. Before any exception
-    leaves this function, the executor is stopped and the finished runs are stored."""
+    Raises DiskFull, ClusterUnreachable, and KeyboardInterrupt if `interrupted` returns True. The executor is stopped
+    before this function ends. After an exception, all results of finished runs are stored."""
     waiting = deque(run for run in runs if run.number not in kept.results)
     progress = CampaignProgress(len(runs), kept)
     under_way: dict[Future[RunResult], PlannedRun] = {}
@@ -86,7 +89,7 @@ def execute_runs(
                 run = under_way.pop(future)
                 _store_result(kept, run, future)
                 bundles.done(run)
-            tell(progress.text())
+            report_progress(progress.text())
             if interrupted():
                 raise KeyboardInterrupt
     except OSError as error:
@@ -106,7 +109,7 @@ def _store_result(kept: CampaignStore, run: PlannedRun, future: Future[RunResult
         if error.errno in FULL:
             raise
         result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
-    except Exception as error:  # a worker ended, or a result could not be sent
+    except Exception as error:  # for example, a worker of the cluster died, or the result could not be sent
         result = RunResult(run.number, dict(run.varied), "failed", f"{type(error).__name__}: {error}")
     if result.outcome == "failed" and kept.full():
         raise DiskFull
@@ -114,9 +117,10 @@ def _store_result(kept: CampaignStore, run: PlannedRun, future: Future[RunResult
 
 
 class CampaignProgress:
-    """Progress text: the number of finished runs, and the remaining time.
+    """Progress of a campaign as text: the number of finished runs, and the estimated remaining time.
 
-    The remaining time is estimated from the runs that finished since this command started."""
+    The estimate uses only runs that have finished since the start of the present command. A resumed campaign contains
+    earlier runs, too."""
 
     def __init__(self, total: int, kept: CampaignStore) -> None:
         self._total, self._kept = total, kept
@@ -132,7 +136,7 @@ class CampaignProgress:
                 parts.append(f"{count} {said}")
         fresh, passed = done - self._before, time.monotonic() - self._began
         if fresh:
-            parts.append(f"{_clock(passed / fresh * (self._total - done))} to go")
+            parts.append(f"{_clock(passed / fresh * (self._total - done))} remaining")
         return ", ".join(parts)
 
 
@@ -143,7 +147,7 @@ def _clock(seconds: float) -> str:
 
 
 def write_table(kept: CampaignStore, app: str, planned: int, cells: Sequence[Mapping[str, str]]) -> str:
-    """Write `campaign.json`, `campaign.csv`, `campaign.txt` and the pictures of the finished runs.
+    """Write the results of the finished runs: `campaign.json`, `campaign.csv`, `campaign.txt` and the plots.
 
     Return the content of `campaign.txt`. Raises OSError."""
     results = [kept.results[number] for number in sorted(kept.results)]

@@ -1,4 +1,4 @@
-"""Executors of runs: a pool on this host, or a Dask cluster. Both return futures of results."""
+"""Executors of simulation runs: a thread pool on this host, or a Dask cluster. Both return futures of results."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from typing import Any, Protocol
 from koordgen.experiment.campaign.store import RunResult, cleared
 from koordgen.experiment.campaign.task import Job, execute
 
-REACHED_WITHIN = 10  # seconds within which a cluster must answer
+REACHED_WITHIN = 10  # seconds to wait for the answer of a Dask scheduler
 
 
 class ClusterUnreachable(Exception):
-    """Raised if no cluster answers, or the connection to it is lost. `help` names a remedy."""
+    """Raised if a Dask cluster cannot be used: `distributed` is not installed, or the connection fails.
+
+    `help` is advice for the user."""
 
     def __init__(self, message: str, help: str) -> None:
         super().__init__(message)
@@ -27,10 +29,12 @@ class ClusterUnreachable(Exception):
 
 
 class Executor(Protocol):
-    """Executor of jobs.
+    """Interface of an executor. A job is one simulation run.
 
-    `width`: number of jobs that may be submitted at the same time.
-    `stop`: ends running jobs as far as possible."""
+    `width`: largest number of jobs that may be submitted and not finished.
+    `submit`: starts a job or queues it; the run writes its files into `folder`.
+    `stop`: cancels queued jobs, and ends running jobs if the executor can.
+    `close`: releases the executor's threads or connection."""
 
     @property
     def width(self) -> int: ...
@@ -43,7 +47,7 @@ class Executor(Protocol):
 
 
 class LocalPool:
-    """Pool of threads in this process. Each thread waits for one run's process at a time."""
+    """Executor on this host: a pool of threads. Each thread starts a run as a process and waits for its end."""
 
     def __init__(self, jobs: int) -> None:
         self.width = jobs
@@ -65,10 +69,10 @@ class LocalPool:
 
 
 class DaskCluster:
-    """Dask cluster as an executor of runs.
+    """Executor on a Dask cluster.
 
-    Its workers must have the same version of koordgen, and the packages of its simulator. Bundles and run folders are
-    sent over the cluster's own connections, so no shared disk is needed."""
+    The cluster's workers must have the same version of koordgen as this host, and the packages of the simulator.
+    Bundles and run folders are sent over Dask's connections, so no shared disk is needed."""
 
     def __init__(self, address: str) -> None:
         try:
@@ -81,7 +85,7 @@ class DaskCluster:
         try:
             self._client = Client(address, timeout=REACHED_WITHIN, set_as_default=False)
         except (OSError, ValueError) as error:
-            way = "start one with `dask scheduler` and `dask worker`, and name the scheduler, as tcp://HOST:8786"
+            way = "start `dask scheduler` and `dask worker`; give the scheduler's address, --cluster tcp://HOST:8786"
             raise ClusterUnreachable(
                 f"no Dask scheduler answers at {address}: {str(error) or 'timeout'}", way
             ) from None
@@ -90,13 +94,17 @@ class DaskCluster:
 
     @property
     def width(self) -> int:
-        """Return twice the number of jobs that the workers can execute, so that no worker waits for a job."""
+        """Return how many jobs to submit at once: twice the number of threads of all workers of the cluster.
+
+        Each worker then has a queued job and starts the queued job without delay."""
         threads: dict[str, int] = self._client.nthreads()
         return 2 * max(1, sum(threads.values()))
 
     def submit(self, job: Job, bundle: Path, folder: Path) -> Future[RunResult]:
         if self._client.status != "running":
-            raise ClusterUnreachable("the connection to the Dask scheduler is lost", "start it again, and resume")
+            raise ClusterUnreachable(
+                "the connection to the Dask scheduler is lost", "start the scheduler again, then use --resume"
+            )
         if self._sent is None or self._sent[0] != bundle:
             self._sent = bundle, self._client.scatter(packed(bundle), hash=False)
         text = Path(job.verdict).read_text(encoding="utf-8") if job.verdict else ""
@@ -108,7 +116,8 @@ class DaskCluster:
                 result, files = finished.result()
                 unpacked(files, cleared(folder))
                 done.set_result(result)
-            # An exception of the worker, the connection or this disk. The future passes it to the caller of result().
+            # The cluster's worker, the connection or the local disk can fail. The future `done` passes the exception
+            # to the caller of `done.result()`.
             except BaseException as error:
                 done.set_exception(error)
 
@@ -116,7 +125,7 @@ class DaskCluster:
         return done
 
     def stop(self) -> None:
-        """Cancel waiting jobs. Running jobs continue on their workers, but their results are dropped."""
+        """Cancel queued jobs. Running jobs continue on the cluster's workers, but their results are dropped."""
         with suppress(Exception):
             self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -127,7 +136,11 @@ class DaskCluster:
 
 
 def remote(job: Job, bundle: bytes, verdict: str) -> tuple[RunResult, bytes]:
-    """Execute a job on a worker. Return its result and all files of the run's folder."""
+    """Execute a simulation run on a worker of a Dask cluster. A worker calls this function.
+
+    `bundle`: zip archive of the simulation bundle.
+    `verdict`: text of the user's verdict script; "" if there is none.
+    Return the result, and a zip archive of the run's folder."""
     with tempfile.TemporaryDirectory(prefix="koordgen-") as own:
         root = Path(own)
         unpacked(bundle, root / "bundle")
@@ -144,7 +157,7 @@ def _never() -> bool:
 
 
 def packed(folder: Path) -> bytes:
-    """Return a folder's files as a zip archive. Each file keeps its path relative to the folder."""
+    """Return all files in a folder as a zip archive. Each file keeps its path relative to the folder."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*")) if folder.exists() else ():
@@ -154,7 +167,7 @@ def packed(folder: Path) -> bytes:
 
 
 def unpacked(files: bytes, folder: Path) -> None:
-    """Extract an archive into a new folder. Raises OSError."""
+    """Extract a zip archive into a new folder. Raises OSError if the folder exists or cannot be written."""
     folder.mkdir(parents=True)
     with zipfile.ZipFile(io.BytesIO(files)) as archive:
         archive.extractall(folder)

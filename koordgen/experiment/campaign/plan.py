@@ -1,4 +1,4 @@
-"""Plan of a campaign: all runs with their parameters. It is complete before the first run begins."""
+"""Plan of a campaign: the list of all runs with their parameters. The plan is complete before the first run begins."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ CAMPAIGN, VALIDATION, PROBES = "campaign", "validation", "probing of a platform"
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of a plan.
+    """One simulation run in the plan of a campaign.
 
-    `varied`: name -> value of everything that is varied.
-    `params`: the varied params of the program, which are built into the run's bundle.
-    `settings`: the varied settings of the simulation harness, which are written to a file.
-    `flags`: the varied options of the run's command line."""
+    `varied`: name -> value of everything that differs between runs. Three of the other fields divide these values:
+    `params`: params of the Koord program, which are built into the run's bundle.
+    `settings`: settings of the simulation harness, which are written to a settings file.
+    `flags`: options of the run's command line."""
 
     number: int
     varied: Mapping[str, str]
@@ -29,7 +29,7 @@ class PlannedRun:
 
     @property
     def name(self) -> str:
-        """Return the name of the run's folder."""
+        """Return the name of the run's folder: the run's number with at least four digits."""
         return f"{self.number:04d}"
 
 
@@ -37,10 +37,13 @@ class PlannedRun:
 class CampaignPlan:
     """Identity of a campaign. A campaign can be resumed only with an equal plan.
 
-    `bundle`: digest of the bundle that is built without varied params.
-    `verdict`: digest of the user's script that judges runs; "" if there is none.
-    `fixed`: command-line options of every run.
-    `what`: the purpose of the runs."""
+    `app`: name of the Koord program.
+    `bundle`: digest of the simulation bundle that is built without varied params.
+    `verdict`: digest of the user's script that judges runs; "" if there is no script.
+    `fixed`: command-line options that all runs have.
+    `vary`: arguments of the `--vary` options.
+    `runs`: number of runs.
+    `what`: purpose of the runs: a campaign, a validation or the probing of a platform."""
 
     app: str
     bundle: str
@@ -51,12 +54,14 @@ class CampaignPlan:
     what: str = CAMPAIGN
 
     def json(self) -> dict[str, Any]:
-        """Return the plan as it is stored in JSON."""
+        """Return the plan as a JSON object, in the form of `plan.json`."""
         return {"format": FORMAT, **asdict(self), "fixed": list(self.fixed), "vary": list(self.vary)}
 
 
 def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -> list[PlannedRun]:
-    """Return the runs of a plan. `settings` names the settings of the simulation harness. Raises BadVary."""
+    """Return the first `count` runs of a campaign in which the quantities `varied` vary. Raises BadVary.
+
+    `settings`: names of all settings of the simulation harness."""
     found = []
     for number, own in enumerate(vary.values(varied, count)):
         params = {n.removeprefix(vary.PARAM): v for n, v in own.items() if n.startswith(vary.PARAM)}
@@ -66,7 +71,7 @@ def runs(varied: Sequence[vary.Varied], count: int, settings: Collection[str]) -
     return found
 
 
-# field of a plan -> message to the user if the stored plan differs in this field
+# field of a CampaignPlan -> message to the user if the stored plan differs from the wanted plan in this field
 _CHANGED = {
     "app": "the program is another",
     "bundle": "the program, the fleet file or koordgen has changed since",
@@ -78,22 +83,22 @@ _CHANGED = {
 
 
 def made_for(stored: Mapping[str, Any]) -> str:
-    """Return the purpose of the runs of a stored plan."""
+    """Return the purpose that a stored plan names; a plan without a known purpose is that of a campaign."""
     what = stored.get("what")
     return what if what in (VALIDATION, PROBES) else CAMPAIGN
 
 
 def difference(stored: Mapping[str, Any], wanted: CampaignPlan) -> str:
-    """Return a text that explains how a stored plan differs from the wanted one; "" if both are equal."""
+    """Return a message about the first difference between a stored plan and the wanted plan; "" if they are equal."""
     if stored.get("format") != FORMAT:
-        return f"its plan has not the format {FORMAT}"
+        return f"the stored plan does not have the format {FORMAT}"
     asked = wanted.json()
     for key, meaning in _CHANGED.items():
         if (value := asked[key]) != stored.get(key):
-            shown = "" if key in ("bundle", "verdict") else f": {_told(stored.get(key))}, not {_told(value)}"
+            shown = "" if key in ("bundle", "verdict") else f": {_shown(stored.get(key))}, not {_shown(value)}"
             return f"{meaning}{shown}"
     return ""
 
 
-def _told(value: Any) -> str:
+def _shown(value: Any) -> str:
     return " ".join(value) or "none" if isinstance(value, list) else str(value)

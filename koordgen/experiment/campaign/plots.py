@@ -1,4 +1,4 @@
-"""Plots of a campaign: the results of runs over each varied value, and a histogram of mission times."""
+"""Plots of a campaign: results of the runs over each varied quantity, and a histogram of mission times."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MARKS = {"held": "o", "violated": "X"}
 
 
 def draw(results: Sequence[RunResult], folder: Path) -> list[Path]:
-    """Draw a picture for each varied name and one of mission times; none if no run was executed.
+    """Draw one plot for each varied quantity, and a histogram of mission times. Return the PNG files.
 
-    Raises OSError."""
+    If no run was executed, no file is written. Raises OSError."""
     ran = [r for r in results if r.outcome in COLOURS]
     if not ran:
         return []
@@ -40,7 +40,7 @@ def _against(name: str, ran: Sequence[RunResult], path: Path) -> Path:
         (time, "mission time, s", [r.mission for r in ran]),
         (apart, "closest, m", [r.separation for r in ran]),
     ):
-        _scatter(axes, [r.outcome for r in ran], places, values)
+        _draw_points(axes, [r.outcome for r in ran], places, values)
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
     words = sorted({r.varied.get(name, "") for r in ran})
@@ -48,13 +48,13 @@ def _against(name: str, ran: Sequence[RunResult], path: Path) -> Path:
         apart.set_xticks(range(len(words)), words)
     apart.set_xlabel(name)
     violated = sum(r.outcome == "violated" for r in ran)
-    time.set_title(f"{len(ran)} runs against {name}: {violated} violated")
+    time.set_title(f"{len(ran)} runs over {name}: {violated} runs with a violation")
     time.legend(loc="best")
     figure.savefig(path, dpi=110)
     return path
 
 
-def _scatter(axes: Axes, outcomes: Sequence[str], places: Sequence[float], values: Sequence[float | None]) -> None:
+def _draw_points(axes: Axes, outcomes: Sequence[str], places: Sequence[float], values: Sequence[float | None]) -> None:
     for outcome, colour in COLOURS.items():
         points = [(x, y) for o, x, y in zip(outcomes, places, values, strict=True) if o == outcome and y is not None]
         if points:
@@ -63,9 +63,9 @@ def _scatter(axes: Axes, outcomes: Sequence[str], places: Sequence[float], value
 
 
 def _places(words: Sequence[str]) -> list[float]:
-    """Return positions on an axis.
+    """Return the position of each varied value on a plot's axis.
 
-    Numbers are placed at their value, other values side by side in sorted order."""
+    If all values are numbers, each position is the number. Otherwise, the position is the index in sorted order."""
     if all(map(_numeric, words)):
         return [float(word) for word in words]
     order = {word: float(k) for k, word in enumerate(sorted(set(words)))}
@@ -93,7 +93,7 @@ def _histogram(ran: Sequence[RunResult], path: Path) -> Path:
     )  # fmt: skip
     if times["held"]:
         mean = sum(times["held"]) / len(times["held"])
-        axes.axvline(mean, color="black", linewidth=1, linestyle="--", label=f"mean of those that held: {mean:.1f} s")
+        axes.axvline(mean, color="black", linewidth=1, linestyle="--", label=f"mean of runs that held: {mean:.1f} s")
     axes.set_xlabel("mission time, s")
     axes.set_ylabel("runs")
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))

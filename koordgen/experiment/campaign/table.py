@@ -1,4 +1,4 @@
-"""Results of a campaign as JSON, as CSV and as text."""
+"""Results of a campaign, formatted as JSON, as CSV and as a text table."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 
 from koordgen.experiment.campaign.store import RunResult
 
-Z = 1.959964  # 95 % of a standard normal distribution are within this distance of its mean.
+Z = 1.959964  # 95 % of a standard normal distribution lie between -Z and Z
 MOST_REASONS = 5
 
 
 def wilson(failures: int, runs: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval of a failure rate.
+    """Return the Wilson confidence interval (95 %) of a failure rate, given the numbers of failures and of runs.
 
     E. B. Wilson, "Probable Inference, the Law of Succession, and Statistical Inference", 1927."""
     if runs == 0:
@@ -30,7 +30,7 @@ def wilson(failures: int, runs: int) -> tuple[float, float]:
 
 
 def spread(values: Iterable[float | None]) -> dict[str, float] | None:
-    """Return the mean, median, smallest and greatest value; None if there are no values."""
+    """Return the mean, median, minimum and maximum of the values that are not None; None without such values."""
     found = [v for v in values if v is not None]
     if not found:
         return None
@@ -41,10 +41,10 @@ def spread(values: Iterable[float | None]) -> dict[str, float] | None:
 
 
 def counted(results: Sequence[RunResult]) -> dict[str, Any]:
-    """Return the numbers of runs by outcome, and statistics of the executed runs.
+    """Return the number of runs for each outcome, and statistics of the executed runs.
 
-    Mission times are taken only from runs without a violation: a violation ends a run before its mission is complete.
-    """
+    The statistics of mission times omit runs with a violation, because a violation ends a run before the mission is
+    complete."""
     held = [r for r in results if r.outcome == "held"]
     violated = [r for r in results if r.outcome == "violated"]
     ran = [*held, *violated]
@@ -64,9 +64,9 @@ def counted(results: Sequence[RunResult]) -> dict[str, Any]:
 
 
 def reasons(results: Sequence[RunResult]) -> list[dict[str, Any]]:
-    """Return the kinds of violations and failures with their numbers, the most frequent first.
+    """Return each kind of violation and failure with its number of runs, the most frequent kind first.
 
-    Each kind contains the first run in which it occurred."""
+    Each entry also has the number, the varied values and the reason of the first run of its kind."""
     found: dict[str, list[RunResult]] = {}
     for r in results:
         if r.outcome != "held":
@@ -80,7 +80,10 @@ def reasons(results: Sequence[RunResult]) -> list[dict[str, Any]]:
 def document(
     app: str, planned: int, results: Sequence[RunResult], cells: Sequence[Mapping[str, str]]
 ) -> dict[str, Any]:
-    """Return the content of `campaign.json`. `cells` are the combinations of the varied lists' values."""
+    """Return the content of `campaign.json`.
+
+    `planned`: number of planned runs.
+    `cells`: all combinations of values of the lists that are varied, such as {"loss": "0.1"}."""
     parted = [
         {"varied": dict(cell), **counted([r for r in results if all(r.varied.get(k) == v for k, v in cell.items())])}
         for cell in cells
@@ -96,7 +99,7 @@ def document(
 
 
 def as_csv(results: Sequence[RunResult]) -> str:
-    """Return `campaign.csv`, with a row for each run."""
+    """Return the content of `campaign.csv`: one row for each run, with its varied values and its result."""
     varied = dict.fromkeys(name for r in results for name in r.varied)
     figures = dict.fromkeys(name for r in results for name in r.figures)
     held = io.StringIO()
@@ -114,7 +117,7 @@ _ROWS = {"mission": "mission time, s", "separation": "closest, m", "late_rounds"
 
 
 def as_text(found: Mapping[str, Any]) -> str:
-    """Return the table as text, made from the content of `campaign.json`."""
+    """Return the content of `campaign.txt`: the results as text tables. `found`: content of `campaign.json`."""
     lines = [f"{found['app']}: {_ends(found, found['planned'])}", ""]
     names = [n for n in found if n in _ROWS or n.startswith("figure ")]
     rows: list[tuple[str, ...]] = [("", "mean", "median", "min", "max")]

@@ -1,6 +1,6 @@
-"""Execution of one run on any host: the bundle's command, its summary, the user's verdict script.
+"""Execution of one simulation run: starts the bundle, reads its summary, and calls the user's verdict script.
 
-A cluster's workers import this module, too, so it imports as little as possible.
+Workers of a Dask cluster import this module, so it imports few other modules.
 """
 
 from __future__ import annotations
@@ -18,38 +18,40 @@ from typing import Any
 
 from koordgen.experiment.campaign.store import RunResult
 
-HELD, VIOLATED = 0, 3  # exit statuses of a bundle's command
-POLL = 0.05  # seconds between two checks whether the campaign was stopped
-PATIENCE = 10.0  # seconds from the request to end until a run is killed
-MOST_SHOWN = 300  # largest number of characters of a reason
+HELD, VIOLATED = 0, 3  # exit statuses of a simulation run: all properties held, or some were violated
+POLL = 0.05  # seconds between two checks for a stop of the campaign
+PATIENCE = 10.0  # seconds from the second SIGTERM until a run is killed
+MOST_SHOWN = 300  # characters after which the reason for a violation or a failure is cut off
 
 
 class CampaignStopped(Exception):
-    """Raised if the campaign was stopped. The current run was ended and does not count."""
+    """Raised if the campaign was stopped during a run. The process of the run has ended, and the run has no result."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run to execute.
+    """Simulation run to execute.
 
-    `flags`: options of the bundle's command.
-    `settings`: settings of the simulation harness, which override those of the scenario.
-    `verdict`: the user's script, which gets the run's folder; "" if there is none."""
+    `number`: number of the run in the campaign's plan.
+    `varied`: name -> value of each quantity that the campaign varies.
+    `flags`: command-line options for the bundle.
+    `settings`: settings of the simulation harness; a setting here overrides the scenario's setting.
+    `verdict`: path of the user's verdict script, which is called with the run's folder; "" without a script."""
 
     number: int
     varied: Mapping[str, str]
     flags: tuple[str, ...]
     settings: Mapping[str, Any]
     verdict: str
-    gentle: bool  # whether the run has low priority on the host
-    scenario: str = ""  # scenario with faults, as JSON; "" if there is none
+    gentle: bool  # if true, the run gets a low CPU priority on its host
+    scenario: str = ""  # scenario with the faults of the run, as JSON text; "" for a run without a scenario
 
 
 def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -> RunResult:
-    """Execute a run and judge its result.
+    """Execute a simulation run, and return its result.
 
-    The run writes into `folder`. Its settings and its scenario are stored beside this folder. Raises CampaignStopped,
-    OSError."""
+    The run writes its files into `folder`. The run's settings and scenario are stored in two files beside `folder`.
+    `stopped`: returns whether the campaign was stopped. Raises CampaignStopped, OSError."""
     command = [sys.executable, str(bundle), *job.flags, f"--out={folder}", "--quiet"]
     own = folder.with_name(f"{folder.name}.settings.json")
     if job.settings:
@@ -60,38 +62,40 @@ def execute(job: Job, bundle: Path, folder: Path, stopped: Callable[[], bool]) -
         scenario.write_text(job.scenario, encoding="utf-8")
         command.append(f"--scenario={scenario}")
     began = time.monotonic()
-    status, told = run_command(_gently(command) if job.gentle else command, stopped)
+    status, output = run_command(_gently(command) if job.gentle else command, stopped)
     wall = round(time.monotonic() - began, 3)
     if status not in (HELD, VIOLATED):
-        return RunResult(job.number, dict(job.varied), "failed", _why_not(status, told), wall=wall)
+        return RunResult(job.number, dict(job.varied), "failed", _why_not(status, output), wall=wall)
     result = _summarised(job, status, _summary(folder / "summary.json"), wall)
     return _judged(result, job.verdict, folder, stopped) if job.verdict else result
 
 
 def run_command(command: list[str], stopped: Callable[[], bool]) -> tuple[int, str]:
-    """Run a command to its end, and return its exit status and output.
+    """Run a command to its end, and return its exit status and its output.
 
-    If the campaign is stopped, the command is ended. Raises CampaignStopped."""
-    # The child gets a process group of its own. So a terminal's Ctrl-C reaches only this process, which then ends the
-    # child.
+    `stopped`: returns whether the campaign was stopped. Raises CampaignStopped after a stop, which terminates the
+        command."""
+    # The command gets its own process group. So Ctrl-C in a terminal sends SIGINT to koordgen but not to the command;
+    # koordgen then terminates the command.
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, process_group=0
     ) as child:
         while True:
             try:
-                told, _ = child.communicate(timeout=POLL)
+                output, _ = child.communicate(timeout=POLL)
             except subprocess.TimeoutExpired:
                 if not stopped():
                     continue
                 _end(child)
                 raise CampaignStopped from None
-            return child.returncode, told.decode("utf-8", "replace")
+            return child.returncode, output.decode("utf-8", "replace")
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:
-    """End a run by two requests.
+    """Terminate the process of a run with two SIGTERMs, or with SIGKILL if the process does not end.
 
-    After one request, the run would first stop its robots and write a report."""
+    SIGKILL follows PATIENCE seconds after the second SIGTERM.
+    After only one SIGTERM, a run first stops its robots and writes a report."""
     for _ in range(2):
         child.terminate()
         try:
@@ -111,8 +115,8 @@ def _gently(command: list[str]) -> list[str]:
     return [nice, "-n", "10", *command] if nice else command
 
 
-def _why_not(status: int, told: str) -> str:
-    lines = [line.strip() for line in told.splitlines() if line.strip()]
+def _why_not(status: int, output: str) -> str:
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     said = next((line for line in lines if line.startswith("error:")), lines[-1] if lines else "it said nothing")
     how = f"killed by signal {-status}" if status < 0 else f"status {status}"
     return f"{how}: {said}"[:MOST_SHOWN]
@@ -144,19 +148,19 @@ def _summarised(job: Job, status: int, summary: dict[str, Any], wall: float) -> 
 
 
 def _judged(result: RunResult, script: str, folder: Path, stopped: Callable[[], bool]) -> RunResult:
-    """Judge a run by the user's script.
+    """Call the user's verdict script with the run's folder, and return the run's result with the script's verdict.
 
-    If the script's exit status is not 0, the run counts as violated, and the last line of the script's output is the
-    reason. If the last line is a JSON object, its numbers become figures of the run."""
-    status, told = run_command([sys.executable, script, str(folder)], stopped)
-    lines = [line.strip() for line in told.splitlines() if line.strip()]
+    If the script's exit status is not 0, a run that held counts as violated. The last line of the script's output is
+    the reason. A JSON object in the last line is no reason: its numbers become figures of the run."""
+    status, output = run_command([sys.executable, script, str(folder)], stopped)
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
     figures = _figures(lines[-1]) if lines else None
     if figures is not None:
         lines.pop()
     result = replace(result, figures=figures or {})
     if status == 0 or result.outcome != "held":
         return result
-    why = lines[-1] if lines else f"{script} ended with status {status} and said nothing"
+    why = lines[-1] if lines else f"{script} ended with status {status} and printed no reason"
     return replace(result, outcome="violated", why=why[:MOST_SHOWN], what="verdict")
 
 

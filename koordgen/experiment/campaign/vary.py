@@ -1,11 +1,12 @@
-"""Variation of values from run to run: `seed=1:70`, `loss=0:0.3`, `delay=0,0.05`, `param.eps=0.5:0.9`.
+"""Varied values of a campaign's runs, as `--vary` gives them: `seed=1:70`, `loss=0:0.3`, `delay=0,0.05`.
 
-A cell is one combination of the values of all lists. Runs use one cell after another; a pass is one cycle through all
-cells. All runs of a pass have the same seed and the same values of ranges, so that cells can be compared in pairs.
+A range (`loss=0:0.3`) varies over an interval, a list (`delay=0,0.05`) over its values. A cell is one combination of
+values of all lists. The runs of a campaign use the cells in turn; one cycle through all cells is a pass. All runs of a
+pass have the same seed and the same values of ranges, so that cells can be compared with each other.
 
-The values of ranges come from multiples of square roots of primes (R. D. Richtmyer, "The Evaluation of Definite
-Integrals, and a Quasi-Monte-Carlo Method", 1951). So the first runs of a campaign, however many, cover the ranges about
-as evenly as the whole campaign.
+The value of a range is computed from multiples of the square root of a prime (R. D. Richtmyer, "The Evaluation of
+Definite Integrals, and a Quasi-Monte-Carlo Method", 1951). So the first n runs of a campaign cover the ranges evenly
+for each n.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
 
 
 class BadVary(Exception):
-    """Raised if an argument of `--vary` is wrong; the message quotes the argument."""
+    """Raised if the arguments of `--vary` are wrong. The message says which argument is wrong and why."""
 
 
 @dataclass(frozen=True)
 class ValueList:
-    """List of values, in the form in which the user wrote them."""
+    """Varied quantity with a list of values, such as `delay=0,0.05`. Values stay as the user wrote them."""
 
     name: str
     values: tuple[str, ...]
@@ -36,7 +37,7 @@ class ValueList:
 
 @dataclass(frozen=True)
 class NumberRange:
-    """Range: any number from `lo` to `hi`."""
+    """Varied quantity whose value is a number between `lo` and `hi`, such as `loss=0:0.3`."""
 
     name: str
     lo: float
@@ -45,7 +46,9 @@ class NumberRange:
 
 @dataclass(frozen=True)
 class Seeds:
-    """Seeds: a new one for each pass, beginning with `first`. `last` limits the number of passes."""
+    """Varied seed, such as `seed=1:70`. The first pass over all cells has the seed `first`, the next `first` + 1.
+
+    `last`: last allowed seed, which limits the number of passes; None if there is no limit."""
 
     first: int
     last: int | None = None
@@ -56,25 +59,26 @@ Varied = ValueList | NumberRange | Seeds
 
 
 def parse(texts: Sequence[str]) -> tuple[Varied, ...]:
-    """Parse the arguments of all `--vary` options. Raises BadVary."""
+    """Parse the arguments of all `--vary` options of a command. Raises BadVary."""
     found: list[Varied] = []
     for text in texts:
         found += [_one(*item) for item in _items(text)]
     names = [varied.name for varied in found]
     for name in names:
         if names.count(name) > 1:
-            raise BadVary(f"{name} is varied twice")
+            raise BadVary(f"{name} is varied twice; each name is allowed once")
     if math.prod(len(v.values) for v in found if isinstance(v, ValueList)) > MOST_CELLS:
-        raise BadVary(f"the lists have more than {MOST_CELLS} combinations")
+        raise BadVary(f"the lists have more than {MOST_CELLS} combinations of values; shorten a list")
     if sum(isinstance(v, NumberRange) for v in found) > len(PRIMES):
-        raise BadVary(f"more than {len(PRIMES)} ranges")
+        raise BadVary(f"more than {len(PRIMES)} ranges; remove some")
     return tuple(found)
 
 
 def _items(text: str) -> list[tuple[str, list[str]]]:
-    """Split `seed,loss=0,0.1,delay=0:1` into [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])].
+    """Split the argument of a `--vary` option into names with their values.
 
-    An item without `=` continues the list before it, unless the item is `seed`."""
+    `seed,loss=0,0.1,delay=0:1` becomes [("seed", []), ("loss", ["0", "0.1"]), ("delay", ["0:1"])]. A part without `=`
+    is a further value of the name before it, unless the part is `seed`."""
     items: list[tuple[str, list[str]]] = []
     for part in text.split(","):
         name, equals, value = (word.strip() for word in part.partition("="))
@@ -101,11 +105,11 @@ def _one(name: str, values: list[str]) -> Varied:
     if name == SEED:
         first, last = _whole(name, low), _whole(name, high)
         if last < first:
-            raise BadVary(f"{name}={values[0]}: it ends before it begins")
+            raise BadVary(f"{name}={values[0]}: the last seed is less than the first seed")
         return Seeds(first, last)
     lo, hi = _number(name, low), _number(name, high)
     if not lo < hi:
-        raise BadVary(f"{name}={values[0]}: a range goes from a smaller to a greater number")
+        raise BadVary(f"{name}={values[0]}: the first number of a range must be less than the second number")
     return NumberRange(name, lo, hi)
 
 
@@ -115,7 +119,7 @@ def _number(name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise BadVary(f"{name}: {text!r} is no number")
+        raise BadVary(f"{name}: {text!r} is not a finite number")
     return value
 
 
@@ -123,13 +127,13 @@ def _whole(name: str, text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise BadVary(f"{name}: {text!r} is no whole number") from None
+        raise BadVary(f"{name}: {text!r} is not a whole number") from None
 
 
 def natural(varied: Sequence[Varied]) -> int | None:
-    """Return the default number of runs, in which every combination occurs once with every seed.
+    """Return the default number of runs: the number of seeds times the number of cells.
 
-    Returns None if there is no such number."""
+    Returns None if a range is varied, or if the seeds have no end. A cell is one combination of values of all lists."""
     seeds = next((v for v in varied if isinstance(v, Seeds)), None)
     if any(isinstance(v, NumberRange) for v in varied) or (seeds and seeds.last is None):
         return None
@@ -138,7 +142,9 @@ def natural(varied: Sequence[Varied]) -> int | None:
 
 
 def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
-    """Return the combinations of the lists' values; a single empty combination if there is no list."""
+    """Return all combinations of values of the varied lists, each as name -> value.
+
+    If no list is varied, the result is one empty combination."""
     grids = [v for v in varied if isinstance(v, ValueList)]
     return [
         dict(zip([g.name for g in grids], values, strict=True)) for values in product(*[grid.values for grid in grids])
@@ -146,9 +152,9 @@ def cells(varied: Sequence[Varied]) -> list[dict[str, str]]:
 
 
 def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
-    """Return the varied values of each run: name -> value as written on a command line.
+    """Return the varied values of each run of a campaign, as name -> text of the value.
 
-    The names are in the order of `varied`. Raises BadVary if there are too few seeds."""
+    The names are in the order of `varied`. Raises BadVary if there are too few seeds for `runs` runs."""
     combinations = cells(varied)
     ranges = [v for v in varied if isinstance(v, NumberRange)]
     steps = [math.sqrt(prime) for prime in PRIMES]
@@ -163,7 +169,7 @@ def values(varied: Sequence[Varied], runs: int) -> list[dict[str, str]]:
         for seeds in varied:
             if isinstance(seeds, Seeds):
                 if seeds.last is not None and seeds.first + turn > seeds.last:
-                    raise BadVary(f"seed={seeds.first}:{seeds.last} are too few seeds for {runs} runs")
+                    raise BadVary(f"seed={seeds.first}:{seeds.last} has too few seeds for {runs} runs")
                 own[SEED] = str(seeds.first + turn)
         result.append({v.name: own[v.name] for v in varied})
     return result

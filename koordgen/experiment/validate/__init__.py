@@ -1,8 +1,8 @@
-"""Validation: checks a program's assumptions about ports by simulated runs of platforms.
+"""Validation: checks a program's assumptions about its ports in simulation runs, for each kind of robot.
 
-A platform is a robot's target together with the fidelity of its simulation.
+A platform is a kind of robot together with the fidelity of its simulation, such as `quad full`.
 
-Owns: samples, windows, verdicts with bounds, suggestions, reachsets.
+Owns: samples of runs, verdicts with statistical bounds, suggested assumptions, reachsets.
 Offers: `samples`, `table`, `reach`.
 Must not import: `operate`, `cli`.
 """

@@ -1,4 +1,4 @@
-"""Kinds of breaches: the manner in which a robot left the box between its position and its target."""
+"""Breaches: cases in which a robot left the box between its position and its target, classified by their cause."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 Kind = Literal["overshoot", "across", "away", "drift"]
 Vector = tuple[float, float, float]
 
-SLOW = 0.05  # speed in m/s below which a robot counts as standing
+SLOW = 0.05  # a robot slower than this counts as standing, in m/s
 EXPLANATIONS: dict[Kind, str] = {
     "overshoot": "along its motion, past its target or not yet braked: inertia",
     "across": "across the line to its target: a curve, around an obstacle or of a body that cannot turn on the spot",
@@ -20,15 +20,12 @@ EXPLANATIONS: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class BoxBreach:
-    """Breach: the farthest position outside of the box within one window.
+    """Breach: in one round, a robot was outside the box from its position at the round's start to its target.
 
-    A window's box extends from the robot's position at the window's start to its target.
-
-    `at`: start of the window, in seconds since round 1.
-    `out`: vector from the box to the farthest position (m, local ENU).
-    `together`: length in metres of the sum of these vectors over this window and the breached windows directly before
-        it.
-    `main`: kind of the farthest breach among these windows."""
+    `at`: start of the round, in seconds since round 1.
+    `out`: vector from the box to the robot's farthest position (m, local ENU).
+    `together`: length in metres of the sum of `out` over this round and the uninterrupted breaches before this round.
+    `main`: kind of the farthest breach among these rounds."""
 
     pid: int
     at: float
@@ -39,12 +36,12 @@ class BoxBreach:
 
     @property
     def distance(self) -> float:
-        """Return the distance from the box in metres."""
+        """Return the distance of the robot's farthest position from the box, in metres."""
         return math.hypot(*self.out)
 
 
 class ConsecutiveBreaches:
-    """Consecutive windows of one robot in which it was outside of the box."""
+    """Uninterrupted sequence of rounds in which one robot left the box from its position to its target."""
 
     def __init__(self) -> None:
         self._sum: Vector = (0.0, 0.0, 0.0)
@@ -52,7 +49,7 @@ class ConsecutiveBreaches:
         self._main: Kind = "drift"
 
     def add(self, pid: int, at: float, out: Vector, kind: Kind) -> BoxBreach:
-        """Add the next window, and return its breach."""
+        """Add the breach of the next round, and return it together with the sums over all rounds of the sequence."""
         self._sum = self._sum[0] + out[0], self._sum[1] + out[1], self._sum[2] + out[2]
         if (distance := math.hypot(*out)) > self._farthest:
             self._farthest, self._main = distance, kind
@@ -60,13 +57,12 @@ class ConsecutiveBreaches:
 
 
 def kind(start: Vector, target: Vector, before: Vector, out: Vector, then: Vector) -> Kind:
-    """Return the kind of a breach.
+    """Return the kind of a breach, in which a robot left the box from its position to its target.
 
-    `start`, `before`: position and velocity at the window's start.
-    `out`: vector from the box to the farthest position.
-    `then`: velocity at the farthest position.
-    Vertical motion differs from horizontal motion, so only x and y are used, unless the robot left the box mainly in z.
-    """
+    `start`, `before`: the robot's position and velocity at the start of the round.
+    `out`: vector from the box to the robot's farthest position.
+    `then`: the robot's velocity at the farthest position.
+    Only x and y are compared, or only z if the robot left the box mainly in z, because robots move differently in z."""
     if math.hypot(*then) < SLOW:
         return "drift"
     axes = (2,) if abs(out[2]) > math.hypot(out[0], out[1]) else (0, 1)

@@ -1,4 +1,4 @@
-"""Picture of a validation: distances of robots from their boxes, window by window."""
+"""Picture of a validation: in each round, how far each robot was outside the box from its position to its target."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 COLOURS: dict[Kind, str] = {"overshoot": "#c0392b", "across": "#2471a3", "away": "#8e44ad", "drift": "#909497"}
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LEAST = 1e-4  # smallest distance drawn, in metres; smaller distances are drawn at this one
+LEAST = 1e-4  # smallest distance on the logarithmic axis, in metres; smaller distances are drawn as LEAST
 BINS = 40
 
 
 def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
-    """Draw a row for each platform. Return whether a picture was written.
+    """Draw the breaches of all runs, one row of diagrams per platform. Return whether a picture was written.
 
-    The left diagram shows the distance in every window over the window's start. The right diagram is a histogram of
-    these distances, with the farthest one of each run. If no run recorded positions, no picture is written. Raises
-    OSError."""
+    A breach is a robot's distance outside the box from its position to its target, in one round. The left diagram shows
+    all breaches over time. The right diagram is their histogram; a black line marks the largest breach of each run. If
+    no run recorded positions, no picture is written. Raises OSError."""
     from matplotlib.figure import Figure
 
     platforms = list(dict.fromkeys(p for sample in samples for p in sample.platforms)) if _moved(samples) else []
@@ -32,11 +32,11 @@ def draw(samples: Sequence[RunSample], title: str, path: Path) -> bool:
     figure = Figure(figsize=(11, 0.9 + 3.0 * len(platforms)), layout="constrained")
     rows = figure.subplots(len(platforms), 2, squeeze=False, sharex="col", sharey=True, width_ratios=(3, 1))
     for (over_time, counted), platform in zip(rows, platforms, strict=True):
-        # for each run, the breaches of robots of this platform
+        # own[k]: the breaches of this platform's robots in run k
         own = [[b for b in sample.breaches if sample.platforms[b.pid] == platform] for sample in samples]
-        _over_time(over_time, own, f"{platform}: {_said(own)}")
+        _over_time(over_time, own, f"{platform}: {_summary(own)}")
         _counted(counted, own)
-    rows[-1][0].set_xlabel("beginning of the window, s since round 1")
+    rows[-1][0].set_xlabel("start of the window (round of one robot), s since round 1")
     rows[-1][1].set_xlabel("windows")
     figure.suptitle(title)
     figure.savefig(path, dpi=110)
@@ -47,12 +47,12 @@ def _moved(samples: Sequence[RunSample]) -> bool:
     return any(sample.reach for sample in samples)
 
 
-def _said(own: Sequence[Sequence[BoxBreach]]) -> str:
+def _summary(own: Sequence[Sequence[BoxBreach]]) -> str:
     distances = [b.distance for run in own for b in run]
     if not distances:
         return "never outside"
     runs = sum(bool(run) for run in own)
-    return f"{len(distances)} windows outside in {runs} of {len(own)} runs, at most {max(distances):.3f} m"
+    return f"outside the box in {len(distances)} windows of {runs} of {len(own)} runs, at most {max(distances):.3f} m"
 
 
 def _over_time(axes: Axes, own: Sequence[Sequence[BoxBreach]], title: str) -> None:
@@ -84,5 +84,5 @@ def _counted(axes: Axes, own: Sequence[Sequence[BoxBreach]]) -> None:
     for run in own:
         if run:
             axes.axhline(max(b.distance for b in run), xmin=0.94, color="black", linewidth=0.6)
-    axes.set_title("how many; black: each run's farthest", fontsize=9, loc="left")
+    axes.set_title("histogram; black lines: largest value of each run", fontsize=9, loc="left")
     axes.grid(alpha=0.3)

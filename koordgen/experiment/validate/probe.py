@@ -1,10 +1,10 @@
-"""Probes: runs in which robots of one platform go from random starts to a target at a fixed offset.
+"""Probes: simulation runs in which robots move from random starts to a target at a fixed offset.
 
-For a probe, a small Koord program and a fleet file are generated, built by the ordinary pipeline, and run in lockstep
-like the runs of a campaign. The world of a probe contains nothing but the robots.
+For each run of a probe, a small Koord program and a fleet file are generated and built like a user's program. The run
+is executed in lockstep, as in a campaign. The simulated world contains only the robots.
 
-Frames: local ENU, metres. Each sample has its own frame, with the origin at the nominal start. So the target is at the
-offset, and the start is within `Start.radius` of the origin.
+Frames: local ENU, metres. Each robot's path has its own frame, with the origin at the robot's nominal start. So the
+target is at the offset, and the start is within `Start.radius` of the origin.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ from koordgen.fleet.manifest import Target
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
-RATE = 240  # recorded poses per second: one for every step of the simulated world
-# The velocity at the start is the average from this many seconds before the start until as many seconds after it.
+RATE = 240  # recorded poses of each robot per second: one pose for every step of the simulator
+# A robot's velocity at the command of its target is the mean velocity from STATE seconds before to STATE seconds after
+# the command.
 STATE = 0.05
 MOST_ROBOTS = 100  # largest number of robots in one run
-KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # keys that are copied from the user's fleet file
-WEATHER = ("floor_friction", "wind")  # keys that are copied from the `world` of the user's fleet file
+KEPT = ("delta", "origin", "safety", "planner_budget", "mocap")  # keys copied from the user's fleet file
+WEATHER = ("floor_friction", "wind")  # keys copied from the section `world` of the user's fleet file
 PROGRAM = """\
 # Probe: each robot moves towards a first target, and then gets a second one. Its path to the second one is observed.
 
@@ -75,7 +76,7 @@ Go:
 
 
 class BadProbe(Exception):
-    """Raised if a probe is impossible or could not be executed. `help` names a remedy."""
+    """Raised if a probe is impossible, or if a run of the probe failed. `help` is advice for the user."""
 
     def __init__(self, message: str, help: str = "") -> None:
         super().__init__(message)
@@ -84,13 +85,12 @@ class BadProbe(Exception):
 
 @dataclass(frozen=True)
 class Start:
-    """Set of starts, from which each sample draws its start.
+    """Set of states from which the start of each probed robot is drawn at random.
 
-    `radius`: when the target is commanded, the robot is within this distance of the nominal start (m, uniform in x and
-        y).
-    `run_up`: distance in metres of a first target, to which the robot moves before; 0 if the robot stands at the start.
-    `turn`: largest angle between the directions of the first target and of the offset, in rad.
-    `after`: interval in seconds from which the duration of the movement to the first target is drawn."""
+    `radius`: largest distance of the robot from the nominal start when its target is commanded (m, uniform in x, y).
+    `run_up`: distance in metres to a first target, which gives the robot a velocity; 0 for robots that stand.
+    `turn`: largest angle between the direction of the first target and the direction of the offset, in rad.
+    `after`: interval in seconds, from which the duration of the motion to the first target is drawn."""
 
     radius: float = 0.1
     turn: float = 0.1
@@ -100,11 +100,11 @@ class Start:
 
 @dataclass(frozen=True)
 class ProbedPlatform:
-    """Platform to probe: robots of a fleet file with the same target, settings and simulation.
+    """Platform to probe: all robots of a fleet file that have equal targets, settings and simulation settings.
 
-    `robot`: the entry of one such robot in the fleet file.
-    `common`: the file's entries for all robots.
-    `beside`: path in bundles -> file of the user's own classes."""
+    `robot`: entry of one of these robots in the fleet file.
+    `common`: entries of the fleet file that apply to all robots.
+    `beside`: path in bundles -> Python file with the user's own classes, such as drivers."""
 
     name: str
     target: str
@@ -118,12 +118,13 @@ class ProbedPlatform:
 
 @dataclass(frozen=True)
 class Probe:
-    """Request for samples of one platform's motion.
+    """Request to observe robots of one platform while they move to a target.
 
-    `offset`: the target relative to the nominal start (m, ENU).
-    `seconds`: duration of the observation of each robot.
-    `count`: number of robots that are observed in all runs together.
-    `robots`: number of robots in each run."""
+    `offset`: position of the target relative to the nominal start (m, ENU).
+    `count`: total number of robots to observe.
+    `seconds`: time for which each robot is observed.
+    `start`: set of states from which the robots' starts are drawn.
+    `robots`: number of robots in each simulation run."""
 
     platform: ProbedPlatform
     offset: Vector
@@ -135,12 +136,12 @@ class Probe:
 
     @property
     def parts(self) -> int:
-        """Return the number of runs of the probe."""
+        """Return the number of simulation runs that are needed to observe `count` robots."""
         return math.ceil(self.count / self.robots)
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """Return the command-line options of each run."""
+        """Return the command-line options of each simulation run. The run lasts until the last robot is observed."""
         passed = math.ceil(self.start.after[1] / self.platform.delta) + 2
         duration = passed * self.platform.delta + self.seconds + STATE
         return (f"--duration={duration:g}", "--lockstep", "--no-report")
@@ -148,11 +149,11 @@ class Probe:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of a probe: n robots, observed at T times.
+    """Paths of n robots that a probe observed at T times.
 
     `times` (T,): seconds since the target was commanded.
-    `positions` (n, T, 3): metres, each in its sample's own frame.
-    `starts` (n, 7): position (m), velocity (m/s, ENU) and yaw (rad)."""
+    `positions` (n, T, 3): metres. Each path has its own frame, with the origin at the robot's nominal start.
+    `starts` (n, 7): each robot's position (m), velocity (m/s, ENU) and yaw (rad) at the command."""
 
     probe: Probe
     times: Array
@@ -165,10 +166,10 @@ def _harness() -> Target:
 
 
 def platforms(fleet_file: str) -> dict[str, ProbedPlatform]:
-    """Return the platforms of a fleet file by name. A name consists of target and fidelity.
+    """Return the platforms of a fleet file by name. The name consists of target and fidelity: `quad full`.
 
-    Robots with the same target and fidelity but different settings are different platforms, whose names include the
-    name of the first such robot. Raises Rejected, ManifestError."""
+    Robots with equal target and fidelity but different settings are different platforms. The names of such platforms
+    also contain the name of their first robot. Raises Rejected, ManifestError."""
     targets = {name: manifest.load(name) for name in manifest.available()}
     harness = _harness()
     fleet, _ = read_fleet(fleet_file, targets, None)
@@ -195,22 +196,25 @@ def platforms(fleet_file: str) -> dict[str, ProbedPlatform]:
 
 
 def check(probe: Probe) -> None:
-    """Check that a probe is possible. Raises BadProbe."""
+    """Check that a probe can be executed. Raises BadProbe if it cannot."""
     platform = probe.platform
     target = manifest.load(platform.target)
     program_of(target)
     if platform.robot.get(_harness().name, {}).get("autopilot") == "external":
-        raise BadProbe(f"{platform.name} is flown by an external autopilot, which runs in real time only")
+        raise BadProbe(
+            f"{platform.name} has an external autopilot, which runs in real time only",
+            "set `autopilot: simulated` for its robots in the fleet file",
+        )
     if not 1 <= probe.robots <= MOST_ROBOTS:
-        raise BadProbe(f"{probe.robots} robots in a run; 1 to {MOST_ROBOTS} are allowed")
+        raise BadProbe(f"{probe.robots} robots in one run, but 1 to {MOST_ROBOTS} are allowed")
     if not any(probe.offset[:2]):
-        raise BadProbe(f"the offset {_told(probe.offset)} is zero in x and y", "give another")
+        raise BadProbe(f"the offset {_shown(probe.offset)} is zero in x and y", "give an offset with another x or y")
 
 
 def fleet_of(probe: Probe, part: int) -> dict[str, Any]:
-    """Return the content of the fleet file of one run.
+    """Return the content of the fleet file for one run of a probe.
 
-    All random values are determined by the seed, the number of the run, and the robot."""
+    `part`: number of the run. The random starts depend only on the seed, on `part` and on the robot's number."""
     platform, start = probe.platform, probe.start
     apart = 2 * (math.hypot(*probe.offset[:2]) + start.run_up) + 6.0
     columns = math.ceil(math.sqrt(probe.robots))
@@ -242,17 +246,19 @@ def fleet_of(probe: Probe, part: int) -> dict[str, Any]:
 
 
 def program_of(target: manifest.Target) -> str:
-    """Return the program that probes robots of a target. Raises BadProbe."""
+    """Return the Koord program that moves robots of a target in a probe.
+
+    Raises BadProbe if the target has no port that commands a position."""
     if target.goal is None:
-        raise BadProbe(f"target {target.name} has no port that sends a robot to a position")
+        raise BadProbe(f"target {target.name} has no port that commands a robot to a position")
     module, position, goal = target.goal
     return PROGRAM.format(module=module, position=position, goal=goal)
 
 
 def build_probe(probe: Probe, part: int, folder: Path) -> None:
-    """Write the program and the fleet file of a run, and build their bundle into `folder`.
+    """Generate the program and the fleet file for one run of a probe, and build a simulation bundle of them.
 
-    Raises Rejected, CannotWrite, OSError."""
+    All files are written into the new folder `folder`. Raises Rejected, CannotWrite, OSError."""
     folder.mkdir(parents=True)
     program, fleet = folder / "probe.koord", folder / "fleet.yaml"
     program.write_text(program_of(manifest.load(probe.platform.target)), encoding="utf-8")
@@ -265,26 +271,32 @@ def build_probe(probe: Probe, part: int, folder: Path) -> None:
     write({harness: bundles[harness]}, folder)
 
 
-def take_samples(
+def collect_samples(
     probes: Sequence[Probe],
     executor: Executor,
     folder: Path,
-    tell: Callable[[str], None] = lambda _: None,
+    report_progress: Callable[[str], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> list[Samples]:
-    """Execute all runs of a probe in a new folder, as a campaign does, and return the samples.
+    """Execute the simulation runs of all probes in a new folder, and return the observed paths of each probe.
 
-    A run writes some 10 MB of files, which are deleted once its samples are read. Raises BadProbe if a probe is
-    impossible or could not be executed, and what `drive.execute_runs` raises."""
+    A run writes about 10 MB of files. They are deleted when the run's paths have been read. Raises BadProbe if a probe
+    is impossible or a run failed. Exceptions of `drive.execute_runs` are passed on."""
     for probe in probes:
         check(probe)
     runs: list[PlannedRun] = []
     owner: dict[int, tuple[Probe, int]] = {}
     for index, probe in enumerate(probes):
         for part in range(probe.parts):
-            told = {"platform": probe.platform.name, "offset": _told(probe.offset), "seed": str(probe.seed + part)}
+            described = {
+                "platform": probe.platform.name,
+                "offset": _shown(probe.offset),
+                "seed": str(probe.seed + part),
+            }
             owner[len(runs)] = probe, part
-            runs.append(PlannedRun(len(runs), told, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)}))
+            runs.append(
+                PlannedRun(len(runs), described, {"probe": f"{index}/{part}"}, {}, {"seed": str(probe.seed + part)})
+            )
 
     def build(params: Mapping[str, str], own: Path) -> None:
         index, _, part = params["probe"].partition("/")
@@ -293,18 +305,18 @@ def take_samples(
     def job(run: PlannedRun) -> Job:
         return Job(run.number, run.varied, (*owner[run.number][0].flags, f"--seed={run.flags['seed']}"), {}, "", True)
 
-    varied = tuple(sorted({told for run in runs for told in run.varied.values()}))
+    varied = tuple(sorted({described for run in runs for described in run.varied.values()}))
     plan = CampaignPlan("probe", "", "", (), varied, len(runs), PROBES)
     with store.claimed(folder, plan, resume=False) as kept:
         bundles = drive.Bundles(folder / "bundles", _harness().name, build, runs)
-        drive.execute_runs(runs, kept, executor, bundles, job, tell, interrupted)
+        drive.execute_runs(runs, kept, executor, bundles, job, report_progress, interrupted)
         for result in kept.results.values():
             if result.outcome == "failed":
-                raise BadProbe(f"run {runs[result.run].name} of a probe did not run: {result.why}")
+                raise BadProbe(f"run {runs[result.run].name} of a probe failed: {result.why}")
         return [_gathered(probe, [r for r in runs if owner[r.number][0] is probe], kept) for probe in probes]
 
 
-def _told(offset: Vector) -> str:
+def _shown(offset: Vector) -> str:
     return f"({', '.join(f'{v:g}' for v in offset)})"
 
 
@@ -318,7 +330,7 @@ def _gathered(probe: Probe, runs: Sequence[PlannedRun], kept: store.CampaignStor
 
 
 def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
-    """Return the path and the start of each robot in one run. Raises BadProbe, OSError."""
+    """Return the path and the start of each robot, read from the trace of one run. Raises BadProbe, OSError."""
     poses: dict[int, list[tuple[float, ...]]] = {}
     gone: dict[int, tuple[float, Sequence[float]]] = {}
     with trace.open("rb") as file:
@@ -328,17 +340,17 @@ def _seen(trace: Path, probe: Probe, times: Array) -> list[tuple[Array, Array]]:
                 case {"kind": "pose", "t": t, "pid": pid, "position": [x, y, z], "yaw": yaw}:
                     poses.setdefault(pid, []).append((t, x, y, z, yaw))
                 case {"kind": "round", "event": "Go", "t": t, "pid": pid, "actuators": written} if written:
-                    gone[pid] = t, next(iter(written.values()))  # the generated program has only one actuator
+                    gone[pid] = t, next(iter(written.values()))  # the generated program writes only one actuator
     if missing := set(poses) - set(gone):
-        why = f"{trace}: robot {min(missing)} never came to its second target"
-        raise BadProbe(why, "look at the run's folder; its report is made by `koordgen report`")
+        why = f"{trace}: robot {min(missing)} was never sent to its second target"
+        raise BadProbe(why, "make a report of the run's folder with `koordgen report`")
     return [_sample(np.array(poses[pid]), *gone[pid], probe.offset, times) for pid in sorted(poses)]
 
 
 def _sample(poses: Array, at: float, target: Sequence[float], offset: Vector, times: Array) -> tuple[Array, Array]:
     t, yaw = poses[:, 0], np.unwrap(poses[:, 4])
     if t[-1] < at + times[-1]:
-        raise BadProbe(f"a probe's run ended {at + times[-1] - t[-1]:.2f} s early")
+        raise BadProbe(f"a run of a probe ended {at + times[-1] - t[-1]:.2f} s before the end of the observation")
     origin = np.array(target) - np.array(offset)
 
     def place(when: Array) -> Array:

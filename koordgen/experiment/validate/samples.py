@@ -1,4 +1,8 @@
-"""Sample: the content of one run's `windows.jsonl` (targets/sim/judging/windows.py)."""
+"""Samples of a validation: each sample holds the observations of assumptions and of motion in one simulation run.
+
+A sample is read from a run's `windows.jsonl`, which targets/sim/judging/windows.py writes. A window is one round of one
+robot.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,16 @@ from typing import Any
 from koordgen.experiment.validate.breach import BoxBreach, ConsecutiveBreaches, kind
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-FINISHED = ("completed", "stopped")  # outcomes of a mission that was observed to its end
+FINISHED = ("completed", "stopped")  # values of `ended` of a run that was simulated to its end
 HELD, VIOLATED, NO_VALUE, UNKNOWN, OUT, UNASKED = "hvnuo-"
 
 
 @dataclass(frozen=True)
 class SampledAssumption:
-    """An assumption of the program: its module, its line, and its index in the run's records."""
+    """Assumption that a Koord program makes about a module.
+
+    `index`: place of the assumption in the lists of `windows.jsonl`.
+    `line`: line of the assumption in the program."""
 
     index: int
     module: str
@@ -28,29 +35,32 @@ class SampledAssumption:
 
 @dataclass
 class AssumptionObservation:
-    """Observation of one assumption on one robot in one run.
+    """Observation of one assumption on one robot in one run. A window is one round of the robot.
 
-    `windows`: outcome -> number of windows.
-    `first`: time of the first violation, in seconds since round 1.
-    `worst`: the farthest breach in a violated window."""
+    `windows`: result of the assumption -> number of windows with this result.
+    `first`: time of the first violation, in seconds since round 1; None without a violation.
+    `worst`: the violated window in which the robot was farthest outside the box from its position to its target."""
 
     windows: Counter[str] = field(default_factory=Counter)
     first: float | None = None
     worst: BoxBreach | None = None
     breaches: Counter[str] = field(default_factory=Counter)  # kind of breach -> number of violated windows
-    # kind of breach -> largest distance from the box in one window, in metres
+
+    # kind of breach -> largest distance of the robot from the box in one window, in metres
     farthest: dict[str, float] = field(default_factory=dict)
-    # kind of breach -> largest sum over consecutive windows, in metres
+    # kind of breach -> largest sum of breaches over consecutive windows, in metres
     together: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RunSample:
-    """Sample: the observations of one run.
+    """Sample: observations of all robots in one simulation run.
 
-    `platforms`, `names`: the platform and the name of each robot, by pid.
-    `far`: largest distance of a robot from its target while the robot was outside of the box, in metres, by pid.
-    `reach`: largest distance of a robot from its target at any time, in metres, by pid."""
+    `ended`: how the run ended, such as "completed".
+    `names`, `platforms`: name and platform of each robot, by pid.
+    `seen`: (index of the assumption, pid) -> observation.
+    `reach`: pid -> largest distance in metres of the robot from its target.
+    `far`: like `reach`, but only of the times when the robot was outside the box from its position to its target."""
 
     run: int
     seed: int
@@ -59,23 +69,25 @@ class RunSample:
     names: tuple[str, ...]
     platforms: tuple[str, ...]
     assumptions: tuple[SampledAssumption, ...]
-    unchecked: tuple[tuple[int, str], ...]  # (line, reason) of assumptions that cannot be evaluated
+    unchecked: tuple[tuple[int, str], ...]  # (line, reason) of each assumption that cannot be evaluated
     seen: Mapping[tuple[int, int], AssumptionObservation]
     breaches: tuple[BoxBreach, ...]
     far: Mapping[int, float]
     reach: Mapping[int, float]
 
     def robots(self, platform: str) -> list[int]:
-        """Return the pids of a platform."""
+        """Return the pids of the robots that belong to a platform."""
         return [pid for pid, own in enumerate(self.platforms) if own == platform]
 
     def of(self, assumption: int, platform: str) -> list[AssumptionObservation]:
-        """Return the observations of an assumption on all robots of a platform."""
+        """Return the observations of one assumption, one for each robot of a platform in the order of pids."""
         return [self.seen[assumption, pid] for pid in self.robots(platform)]
 
 
 def read(folder: Path, run: int) -> RunSample | None:
-    """Read the sample in a run's folder; None if the run did not end regularly. Raises OSError."""
+    """Read the sample of run number `run` from the run's folder.
+
+    Returns None if `windows.jsonl` is missing, incomplete or invalid. Raises OSError if it cannot be read."""
     try:
         with (folder / FILE).open(encoding="utf-8") as file:
             lines = [json.loads(line) for line in file]
@@ -84,7 +96,7 @@ def read(folder: Path, run: int) -> RunSample | None:
         return _sample(run, lines[0], lines[1:-1], lines[-1]["end"])
     except FileNotFoundError:
         return None
-    except (ValueError, LookupError, TypeError):  # the file is cut off, or was not written by a run
+    except (ValueError, LookupError, TypeError):  # the file is incomplete, or has another format
         return None
 
 
@@ -134,9 +146,10 @@ def _note(seen: AssumptionObservation, came: str, at: float, breach: BoxBreach |
 
 
 def margin(samples: Iterable[RunSample], platform: str, *, outside: bool) -> float:
-    """Return the largest distance, in metres, of a platform's robots from their target in any run.
+    """Return the largest distance in metres of a platform's robots from their targets, over all samples.
 
-    If `outside`, only times count at which the robot was outside of the box. Returns 0 if there are no such times."""
+    If `outside` is true, only those times count when a robot was outside the box from its position to its target; 0 if
+    no robot ever was. Returns NaN if no sample has a robot of the platform."""
     values = (
         (sample.far if outside else sample.reach).get(pid, 0.0) for sample in samples for pid in sample.robots(platform)
     )

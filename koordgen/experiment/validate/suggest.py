@@ -1,4 +1,7 @@
-"""Suggestions: weaker assumptions that all samples satisfy, with the verdicts under each of them."""
+"""Suggested assumptions: weaker than a violated assumption, and satisfied in all simulation runs of a validation.
+
+Each suggestion has the verdicts of the program's invariants under the suggested assumption.
+"""
 
 from __future__ import annotations
 
@@ -16,32 +19,34 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POINT
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
-from koordgen.verify.prove.report.show import suggestion as closing
+from koordgen.verify.prove.report.show import suggestion as missing
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-STEP = 0.01  # Margins are rounded up to multiples of this length, in metres.
-MOST_SAID = 140  # largest number of characters of a reason
+STEP = 0.01  # suggested margins are rounded up to multiples of this length, in metres
+MOST_SAID = 140  # largest number of characters of the reason for a prover's verdict; longer reasons are shortened
 
 
 @dataclass(frozen=True)
 class Proved:
-    """Verdict of an invariant under some assumption.
+    """The prover's verdict of one invariant under a suggested assumption.
 
-    `closing`: additional facts that would prove the invariant, or the reason why it is not proved; empty if both are
-        unknown."""
+    `missing`: additional facts that would prove the invariant, or the reason for the verdict; "" if neither is
+        known."""
 
     invariant: str
     verdict: str
-    closing: str
+    missing: str
 
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Assumption that replaces another one.
+    """Suggested assumption, which replaces an assumption that simulation runs violated.
 
-    The margins are in metres, for each platform and for all of them. `proved`: the prover's verdicts with this
-    assumption."""
+    `line`: line of the replaced assumption in the program.
+    `margin`: radius in metres of the ball around the target, within which all robots stayed.
+    `by_platform`: platform -> the margin that its robots need, in metres.
+    `proved`: the prover's verdicts under the suggested assumption."""
 
     module: str
     line: int
@@ -52,14 +57,15 @@ class Suggestion:
 
     @property
     def closes(self) -> bool:
-        """Return whether every invariant is PROVED with this assumption."""
+        """Return whether the prover proves all invariants under the suggested assumption."""
         return all(p.verdict == "PROVED" for p in self.proved)
 
 
 def about_way(program: decl.Program, line: int) -> decl.Assumption | None:
-    """Return the assumption at a line if it constrains only the path from `position` to `target`.
+    """Return the assumption at a line of the program if the assumption bounds a robot's path to its target.
 
-    Returns None for any other assumption."""
+    Such an assumption relates the ports `position'`, `position` and `target`, and no other ports. Returns None for any
+    other assumption."""
     for module in program.modules:
         for assumption in module.assumptions:
             read = {(n.port, n.primed) for n in walk(assumption.formula) if isinstance(n, ir.PortRead)}
@@ -79,13 +85,13 @@ def suggestions(
     samples: Sequence[RunSample],
     solver: Solver | CrossCheck,
 ) -> list[Suggestion]:
-    """Return weaker replacements of the assumption at a line.
+    """Suggest two weaker replacements for the assumption at a line of the program.
 
-    There are two replacements: the assumption's box or a ball around the target; and the ball alone. The list is empty
-    if the assumption does not constrain the path to a target. Raises SolverMissing.
+    The assumption must bound a robot's path to its target; otherwise, the list is empty. The first replacement allows
+    the box from position to target and a ball around the target; the second allows only the ball. Raises SolverMissing.
 
-    The margin is added only around the target. A box that is enlarged around its start, too, would drift from step to
-    step and break every invariant about positions."""
+    The box is not enlarged, because a margin around the robot's position would grow from round to round. Then no
+    invariant about positions could be proved."""
     old = about_way(program, line)
     if old is None:
         return []
@@ -109,17 +115,17 @@ def _up(metres: float) -> float:
 
 
 def _proved(program: decl.Program, params: Mapping[str, Value], solver: Solver | CrossCheck) -> list[Proved]:
-    """Prove the program with the params of its build, since the sampled fleet has these params."""
+    """Prove the invariants of a program with the values of params that the simulated fleet has."""
     fixed = {p.name: p.default for p in with_params(program, params).params}
     found = prove(Question(program, None, fixed), solver)
-    return [Proved(v.invariant, v.verdict, closing(v) or shorten(v.reason, MOST_SAID)) for v in found]
+    return [Proved(v.invariant, v.verdict, missing(v) or shorten(v.reason, MOST_SAID)) for v in found]
 
 
 def _with(source: Source, span: Span, formula: str) -> decl.Program:
-    """Return the program in which the formula at `span` of the text is replaced by `formula`."""
+    """Replace the formula at `span` in a program's text by `formula`, and return the checked program."""
     lines = source.text.split("\n")
     first, last = lines[span.line - 1], lines[span.end_line - 1]
-    whole = f"{first[: span.column - 1]}{formula}{last[span.end_column - 1 :]}"
+    whole = first[: span.column - 1] + formula + last[span.end_column - 1 :]
     text = "\n".join([*lines[: span.line - 1], whole, *lines[span.end_line :]])
     changed = Source(source.path, text)
     tree, unread = parse(changed)

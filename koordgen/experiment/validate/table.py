@@ -1,4 +1,4 @@
-"""Result of a validation as text of at most 120 columns, and as data for JSON."""
+"""Report of a validation: formatted as text of at most 120 columns, and as JSON."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ WORST = ("VIOLATED", "INCONCLUSIVE", "VALIDATED")
 
 @dataclass(frozen=True)
 class ValidationReport:
-    """Result of one validation: program and fleet, its runs, and its verdicts.
+    """Report of one validation: the validated program and fleet, the simulation runs, and the verdicts.
 
-    `texts`: line -> assumption as the program has it.
-    `unchecked`: line and reason of each assumption that cannot be evaluated.
-    `failed`: the first reason why runs did not come to their end.
-    `start_noise`: in metres and radians."""
+    `samples`, `finished`: numbers of started and of finished runs.
+    `seed`: seed of the first run.
+    `seconds`: duration of a run.
+    `start_noise`: half-width of the random starts around the fleet file's starts, in metres and radians.
+    `failed`: reason for the first failure of a run; "" if all runs finished.
+    `texts`: line of the program -> text of the assumption.
+    `unchecked`: (line, reason) of each assumption that cannot be evaluated."""
 
     program: str
     fleet: str
@@ -40,7 +43,7 @@ class ValidationReport:
 
     @property
     def verdict(self) -> str:
-        """Return the worst of all verdicts."""
+        """Return the verdict of the whole validation: the worst verdict of its assumptions."""
         said = {v.verdict for v in self.verdicts} | ({"INCONCLUSIVE"} if self.unchecked or not self.verdicts else set())
         return next(name for name in WORST if name in said)
 
@@ -49,7 +52,9 @@ Commands = Callable[[Case], tuple[str, str]]
 
 
 def as_text(found: ValidationReport, commands: Commands) -> str:
-    """Return the result as text. `commands` returns the commands that run and replay a violated case."""
+    """Return the report of a validation as text.
+
+    `commands`: returns two command lines for a violated case: one runs the case again, one replays it."""
     lines = [*_head(found), ""]
     for line in dict.fromkeys(v.assumption.line for v in found.verdicts):
         lines += [*_assumption(found, [v for v in found.verdicts if v.assumption.line == line], commands), ""]
@@ -58,7 +63,7 @@ def as_text(found: ValidationReport, commands: Commands) -> str:
     if found.suggestions:
         lines += [*_suggestions(found), ""]
     if found.failed:
-        lines.append(f"runs that did not come to an end: {found.failed}")
+        lines.append(f"some runs did not finish; the first reason: {found.failed}")
     lines.append(f"{found.verdict}: {_claim(found)}")
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
@@ -79,26 +84,26 @@ def _head(found: ValidationReport) -> Iterator[str]:
 
 def _claim(found: ValidationReport) -> str:
     bound = found.bound
-    says = f"a run from these starts violates with a probability below {bound.epsilon:g}"
+    says = f"a run from these starts violates an assumption with a probability below {bound.epsilon:g}"
     if found.verdict == "VALIDATED":
-        return f"with confidence {1 - bound.gamma:g} {says} ({bound.needed} runs or more without a violation)"
+        return f"with confidence {1 - bound.gamma:g}, {says} ({bound.needed} or more runs had no violation)"
     if found.verdict == "VIOLATED":
         platforms = ", ".join(dict.fromkeys(v.platform for v in found.verdicts if v.verdict == "VIOLATED"))
         return f"a proof that uses these assumptions does not cover {platforms}"
-    asked = f"to say that with confidence {1 - bound.gamma:g} {says} takes {bound.needed} runs without a violation"
-    return f"{asked} (ln(1/{bound.gamma:g})/{bound.epsilon:g})"
+    asked = f"{bound.needed} runs without a violation are needed to show with confidence {1 - bound.gamma:g}"
+    return f"{asked} that {says} ({bound.needed} >= ln(1/{bound.gamma:g})/{bound.epsilon:g})"
 
 
 def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], commands: Commands) -> Iterator[str]:
     about = verdicts[0].assumption
     yield f"{about.module} ({found.program}:{about.line}): {found.texts.get(about.line, '')}"
-    confidence = f"{100 * (1 - found.bound.gamma):g} %"
+    percent = 100 * (1 - found.bound.gamma)
     head = (
         "platform",
         "verdict",
         "runs",
         "violated",
-        f"a run violates ({confidence})",
+        f"a run violates ({percent:g} %)",
         "windows",
         "violated",
         "in a window",
@@ -109,7 +114,7 @@ def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], 
         if verdict.why:
             yield f"  {verdict.platform}: {verdict.why}"
         if verdict.out_of_model:
-            yield f"  {verdict.platform}: in {verdict.out_of_model} more windows a robot had left the model"
+            yield f"  {verdict.platform}: {verdict.out_of_model} further windows: the robot had left the model"
         yield from _breaches(verdict)
         if verdict.worst is not None:
             yield from _case(verdict, verdict.worst, commands)
@@ -145,11 +150,12 @@ def _case(verdict: AssumptionVerdict, case: Case, commands: Commands) -> Iterato
     if case.breach is not None:
         x, y, z = case.breach.out
         row = (
-            f", {case.breach.together:.3f} m with those before it"
+            f", {case.breach.together:.3f} m with the windows before"
             if case.breach.together > case.breach.distance
             else ""
         )
-        how = f": {case.breach.distance:.3f} m outside{row}, by ({x:.3f}, {y:.3f}, {z:.3f}) m, {case.breach.main}"
+        far = f"{case.breach.distance:.3f} m outside the box{row}"
+        how = f": {far}, by ({x:.3f}, {y:.3f}, {z:.3f}) m, kind {case.breach.main}"
     yield f"  {verdict.platform}: {case.robot}, run {case.run:04d} (seed {case.seed}), at {case.at:.2f} s{how}"
     run, replay = commands(case)
     yield f"    {run}"
@@ -176,26 +182,26 @@ def _suggestions(found: ValidationReport) -> Iterator[str]:
 
 def _proofs(suggestion: Suggestion) -> Iterator[str]:
     for proved in suggestion.proved:
-        yield f"{proved.verdict}  {proved.invariant}" + (f": {proved.closing}" if proved.closing else "")
+        yield f"{proved.verdict}  {proved.invariant}" + (f": {proved.missing}" if proved.missing else "")
 
 
 def _closes(own: Sequence[Suggestion]) -> str:
     proper = [p for p in own[0].proved if not p.invariant.startswith("(")]
     if not proper:
-        return "The program has no invariant, so there is nothing to prove with it."
+        return "The program has no invariant that could be proved with a suggested assumption."
     closing = [s.text for s in own if s.closes]
     if closing:
-        return f"The prover closes every invariant with: assume {closing[0]}"
+        return f"The prover proves all invariants with: assume {closing[0]}"
     return (
-        "The prover closes it with neither: constrain the motion more, with a velocity or a braking term, or weaken "
-        "the invariant by the margin."
+        "The prover proves all invariants with neither suggestion. Constrain the motion more, with a velocity or a "
+        "braking term, or weaken the invariant by the margin."
     )
 
 
 def document(found: ValidationReport, commands: Commands) -> dict[str, Any]:
-    """Return the result as data for JSON.
+    """Return the report of a validation as a JSON object.
 
-    `commands` returns the commands that run and replay a violated case."""
+    `commands`: returns two command lines for a violated case: one runs the case again, one replays it."""
     return {
         "format": FORMAT,
         "program": found.program,

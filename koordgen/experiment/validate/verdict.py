@@ -1,4 +1,4 @@
-"""Verdicts about each assumption on each platform, computed from the samples."""
+"""Verdicts of a validation: whether simulation runs kept an assumption, for each assumption and each platform."""
 
 from __future__ import annotations
 
@@ -26,23 +26,26 @@ Name = Literal["VALIDATED", "VIOLATED", "INCONCLUSIVE"]
 
 @dataclass(frozen=True)
 class ProbabilityBound:
-    """Claim to validate: with confidence 1 - gamma, a run violates with a probability below epsilon."""
+    """Claim to validate: with confidence 1 - gamma, a run violates an assumption with a probability below epsilon."""
 
     epsilon: float
     gamma: float
 
     @property
     def needed(self) -> int:
-        """Return the number of runs without a violation that show the claim."""
+        """Return how many runs without a violation are needed to show the claim."""
         return needed(self.epsilon, self.gamma)
 
 
 @dataclass(frozen=True)
 class Case:
-    """A violated window that can be run again.
+    """Violation of an assumption in a simulation run, which the user can repeat.
 
-    `run`, `seed`, `robot`: the run, its seed, and the robot.
-    `at`: the window's start, in seconds since round 1."""
+    `run`: number of the run.
+    `seed`: seed of the run.
+    `robot`: name of the robot.
+    `at`: start of the violated round, in seconds since round 1.
+    `breach`: the robot's motion outside the box from its position to its target; None if it stayed in the box."""
 
     run: int
     seed: int
@@ -53,7 +56,9 @@ class Case:
 
 @dataclass(frozen=True)
 class RobotSummary:
-    """Summary of one robot over all samples: violated runs, judged windows and violated windows."""
+    """Summary of one robot over all runs: number of violated runs, of judged windows and of violated windows.
+
+    A window is one round of the robot."""
 
     name: str
     runs: int
@@ -63,17 +68,19 @@ class RobotSummary:
 
 @dataclass(frozen=True)
 class AssumptionVerdict:
-    """Verdict about one assumption on one platform.
+    """Verdict of a validation about one assumption on one platform. A window is one round of one robot.
 
-    `runs`: number of samples in which the assumption was judged.
-    `violated`: number of samples in which it was violated.
-    `interval`: confidence interval of the probability that a run violates it.
-    `windows`, `violated_windows`: sums over all samples.
-    `worst`: the farthest breach, or the first violation.
-    `epsilon`: the bound that this number of runs without a violation would show.
-    `wanted`: number of further runs that are needed.
-    `farthest`: kind of breach -> largest distance from the box in one window, in metres.
-    `together`: kind of breach -> largest sum over consecutive windows, in metres."""
+    `runs`: number of runs in which the assumption was judged.
+    `violated`: number of runs in which the assumption was violated.
+    `interval`: confidence interval of the probability that a run violates the assumption.
+    `epsilon`: upper bound of this probability that `runs` runs without a violation would show.
+    `wanted`: number of further runs that are needed to validate the assumption.
+    `windows`, `violated_windows`: numbers of judged and of violated windows in all runs.
+    `out_of_model`: number of windows that do not count, because the robot had left the model.
+    `worst`: the violation with the farthest breach, or the first violation if no robot left its box.
+    `breaches`: kind of breach -> number of violated windows.
+    `farthest`: kind of breach -> largest distance of a robot from its box in one window, in metres.
+    `together`: kind of breach -> largest sum of breaches over consecutive windows, in metres."""
 
     assumption: SampledAssumption
     platform: str
@@ -95,10 +102,10 @@ class AssumptionVerdict:
 
 
 def verdicts(samples: Sequence[RunSample], unfinished: int, bound: ProbabilityBound) -> list[AssumptionVerdict]:
-    """Return the verdicts, ordered by assumption and then by platform, as in the program and the fleet.
+    """Return one verdict for each assumption of the program and each platform of the fleet, in this order.
 
-    `unfinished`: number of runs that were started but have no sample. Without any sample the list is empty, since then
-        not even the platforms are known."""
+    `unfinished`: number of runs that were started but did not finish. If no run finished, the list is empty, because
+        the platforms are read from the samples of finished runs."""
     if not samples:
         return []
     platforms = dict.fromkeys(samples[0].platforms)
@@ -121,7 +128,7 @@ def _of(
             cut += 1
     bad = sum(any(one.windows[VIOLATED] for one in seen) for _, seen in judged)
     wanted = max(0, bound.needed - len(judged))
-    name, why = _said(bad, len(judged), total, cut, wanted)
+    name, why = _decided(bad, len(judged), total, cut, wanted)
     all_seen = [one for _, seen in judged for one in seen]
     counted = sum((one.breaches for one in all_seen), Counter[str]())
     return AssumptionVerdict(
@@ -132,19 +139,19 @@ def _of(
     )  # fmt: skip
 
 
-def _said(bad: int, judged: int, total: Mapping[str, int], cut: int, wanted: int) -> tuple[Name, str]:
+def _decided(bad: int, judged: int, total: Mapping[str, int], cut: int, wanted: int) -> tuple[Name, str]:
     if bad:
         return "VIOLATED", ""
     if total.get(NO_VALUE):
-        return "INCONCLUSIVE", f"it had no value in {_windows(total[NO_VALUE])}: something in it failed"
+        return "INCONCLUSIVE", f"it had no value in {_windows(total[NO_VALUE])}: its evaluation failed"
     if cut:
         return (
             "INCONCLUSIVE",
-            f"{cut} run{'s' * (cut != 1)} did not come to an end: what it would have shown is not known",
+            f"{cut} run{'s' * (cut != 1)} did not come to an end, so violations may have been missed",
         )
     if not judged:
         unknown = f"; in {_windows(total[UNKNOWN])} it was not known" if total.get(UNKNOWN) else ""
-        return "INCONCLUSIVE", f"it was never put to the test{unknown}"
+        return "INCONCLUSIVE", f"the assumption was never put to the test{unknown}"
     if wanted:
         return "INCONCLUSIVE", f"{wanted} more sample{'s' * (wanted != 1)} wanted"
     return "VALIDATED", ""

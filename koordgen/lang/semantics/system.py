@@ -29,8 +29,8 @@ T = TypeVar("T")
 class SystemState(NamedTuple):
     """State of a system at a round's start.
 
-    Tuples by application: `params`, `locals` and `stopped` (each by pid), and `stores`, which contain the variables that
-    the application itself declares.
+    Tuples by application: `params`, `locals` and `stopped` (each by pid), and `stores`, which contain the variables
+    that the application itself declares.
     `ports`: the ports of each robot, "Module.port" -> value; the applications of a robot see the same ports.
     `round`: number of the round that begins; 0 before `init` has run.
     """

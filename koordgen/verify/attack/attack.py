@@ -1,13 +1,13 @@
-"""Attack on PROVED invariants within a time budget: chooses states, and reports the result.
+"""Attack on PROVED invariants within a time budget: chooses states, runs steps from them, and reports the result.
 
-States that are cheap to get, or likely to reveal a mistake, come first: initial states, `init`, and the first events of
-each robot. Then three sources are used in turn, each for the same share of time:
+The attack begins with initial states, `init` and the first events of each robot. They are cheap to get and likely to
+reveal a mistake. Then the attack uses three sources of states, each for an equal share of time:
 
-- random walks from states after `init`;
-- states from the solver's models, from which one round is run in every order;
-- variations of known states, which differ in a few variables.
+- random walks, which begin in states after `init`;
+- states from the solver's models; one round is run from each state in every order of events;
+- variations of known states, with a few variables changed.
 
-The same program and seed give the same sequence of states. The budget decides how many of them are used.
+A program and a seed determine the sequence of states. The budget limits how many states are used.
 """
 
 from __future__ import annotations
@@ -49,27 +49,30 @@ from koordgen.verify.attack.states import States
 if TYPE_CHECKING:
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
 
-SECONDS = 0.05  # default budget of an attack, in seconds
-FLEETS = (1, 2, 3, 4)  # fleet sizes that are attacked, if the number of robots is not given
-STARTS = 2  # number of initial states of each fleet size that are attacked first
-TRIES = 12  # attempts to draw one initial state
+SECONDS = 0.05  # default time budget of an attack, in seconds
+FLEETS = (1, 2, 3, 4)  # fleet sizes to attack, if the user gives no number of robots
+STARTS = 2  # number of initial states of each fleet size with which the attack begins
+TRIES = 12  # largest number of attempts to draw one initial state
 ROUNDS = 6  # length of one random walk, in rounds
-ORDERS = 150  # largest number of steps that are run in one round from one state of a model
-VARIED_ORDERS = 8  # largest number of steps that are run in one round from a variation of a known state
-MODEL_RUNS = 60  # runs of an event that one state of a model should give before the solver is asked again
-SKIPS = 0.15  # probability that a robot skips its event in a round of a random walk
-STALE = 400  # number of units of work without a new state after which the attack ends
-FIRST = 0.4  # share of the budget that is used before the solver is asked
+ORDERS = 150  # largest number of events that are run from one state of the solver
+VARIED_ORDERS = 8  # largest number of events that are run from one variation of a known state
+MODEL_RUNS = 60  # assumed number of runs of an event that one state of the solver makes possible
+SKIPS = 0.15  # probability that a robot runs no event in a round of a random walk
+STALE = 400  # the attack ends after STALE attempts, to find a state or to run a step, without a new state
+FIRST = 0.4  # largest share of the time budget for initial states and first events
 
 Clock = Callable[[], float]
 
 
 class AttackReport(NamedTuple):
-    """Result of an attack.
+    """Result of an attack on PROVED invariants.
 
-    `states`: (step, invariant) -> number of states in which the invariant was judged after the step. A step is an
+    `states`: (step, invariant) -> number of states in which the invariant was evaluated after the step. A step is an
         event's name, "init" or "(environment)".
-    `reasons`: (step, invariant) -> the reason why the number is 0."""
+    `reasons`: (step, invariant) -> the reason why the invariant was evaluated in no state. An empty name stands for
+        all steps or all invariants.
+    `contradiction`: None if no PROVED invariant was contradicted.
+    `seconds`: time used, on the clock of the attack."""
 
     states: Mapping[tuple[str, str], int]
     reasons: Mapping[tuple[str, str], str]
@@ -77,7 +80,9 @@ class AttackReport(NamedTuple):
     seconds: float
 
     def of(self, step: str, invariant: str) -> tuple[int, str]:
-        """Return the number of states with which an obligation was attacked, and the reason if it is 0."""
+        """Return the number of states in which an invariant was evaluated after a step.
+
+        If the number is 0, also return the reason; otherwise "" in its place."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -86,11 +91,11 @@ class AttackReport(NamedTuple):
 
 
 class BudgetSpent(Exception):
-    """Raised if the time budget is used up, or no new states are found."""
+    """Raised to end an attack, if the time budget is used up or no new states are found."""
 
 
 class ContradictionFound(Exception):
-    """Raised if a step contradicts a verdict."""
+    """Raised if the state after a step contradicts the verdict PROVED of an invariant."""
 
     def __init__(self, contradiction: Contradiction) -> None:
         super().__init__(contradiction.breach.why)
@@ -98,13 +103,13 @@ class ContradictionFound(Exception):
 
 
 class RunPosition(NamedTuple):
-    """Position within a run.
+    """Position of the attack within a run of the program.
 
-    `first`: the first state of the run.
-    `start`: the state at the start of the present round.
-    `now`: the present state.
-    `turns`: the robots that already ran an event in this round.
-    `acts`: all steps so far."""
+    `first`: first state of the run.
+    `start`: state at the start of the present round.
+    `now`: present state.
+    `turns`: pids of the robots that have run an event in the present round.
+    `acts`: all steps from `first` to `now`."""
 
     first: State
     start: State
@@ -113,7 +118,9 @@ class RunPosition(NamedTuple):
     acts: tuple[Act, ...]
 
     def then(self, act: Act, now: State) -> RunPosition:
-        """Return the position after a step. A step of the environment, or `init`, ends the round."""
+        """Return the position after the step `act`, which leads to the state `now`.
+
+        A step of the environment, or `init`, ends the present round."""
         acts = (*self.acts, act)
         if act.pid is None:
             return RunPosition(self.first, now, now, frozenset(), acts)
@@ -121,7 +128,7 @@ class RunPosition(NamedTuple):
 
 
 def beginning(state: State) -> RunPosition:
-    """Return the position of a state before `init` or at a round's start."""
+    """Return the position at the beginning of a run. `state`: a state before `init`, or at the start of a round."""
     return RunPosition(state, state, state, frozenset(), ())
 
 
@@ -132,13 +139,14 @@ def attack(
 ) -> AttackReport:  # fmt: skip
     """Search for a state that contradicts a PROVED invariant or "(well-defined)".
 
-    `proved`: the names of the PROVED invariants.
-    `robots`: the number of robots; None for several fleet sizes.
-    `params`: the values of fixed params; all other params may have any value.
-    `solver`: provides states from models; None if no solver is used.
-    `seconds`: the budget on `clock`.
-    `clock`: CPU time by default, to which the time spent waiting for the solver is added. A clock that counts work does
-        not count this waiting time."""
+    `proved`: names of the PROVED invariants.
+    `robots`: number of robots in the fleet; None to attack fleets of 1 to 4 robots.
+    `params`: values of params that are fixed; all other params may have any value.
+    `solver`: SMT solver that provides states; None to attack without a solver.
+    `seconds`: time budget on `clock`.
+    `clock`: CPU time by default. To CPU time, the time spent waiting for the solver is added; to another clock, nothing
+        is added.
+    `seed`: seed of all random choices."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
         return _none(f"only fleets of at most {FLEETS[-1]} robots are attacked")
@@ -156,9 +164,10 @@ def _none(why: str) -> AttackReport:
 
 
 def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
-    """Return the program with exact numbers, and whether some initial values are GridMaps.
+    """Return the program with exact numbers, and whether an initial value of a variable contains a GridMap.
 
-    A GridMap has no exact form. It is computed as robots compute it, with the program's values of params."""
+    A GridMap has no exact form. Initial values with a GridMap are computed with floats, as on robots, and with the
+    values of params that the program has."""
     variables: list[decl.Local | decl.Shared] = [*program.locals, *program.shared]
     rounded = {v.name for v in variables if any(_is_map(n) for n in walk(v.initial))}
     made = exact(program)
@@ -168,7 +177,7 @@ def runnable(program: decl.Program) -> tuple[decl.Program, bool]:
     values = {**first.robots[0].locals, **first.store.cells, **{n: v[0] for n, v in first.store.slots.items()}}
 
     def known(variable: decl.Local | decl.Shared) -> ir.Expr:
-        # the semantics does not check the type of a constant, so the constant may have any value
+        # The semantics does not check the type of a constant, so `Const` can hold any value.
         value: Any = values[variable.name]
         given = ir.Const(value, variable.type, variable.span)
         return given if variable.name in rounded else variable.initial
@@ -200,16 +209,16 @@ class _AttackSearch:
         self.params, self.solver, self.until = params, solver, until
         self.computing, self.timed = clock, clock is time.process_time
         self.waited = 0.0  # seconds spent waiting for the solver
-        self.ready: list[RunPosition] = []  # positions after `init`
-        self.known: list[State] = []  # states at the starts of rounds
+        self.ready: list[RunPosition] = []  # positions directly after `init`
+        self.known: list[State] = []  # states at the start of a round, from which variations are made
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
-        self.runs: dict[str, int] = {}  # event -> number of its runs
-        self.tried: dict[str, int] = {}  # step -> number of runs that states of models were expected to give
+        self.runs: dict[str, int] = {}  # event name -> number of runs of the event
+        self.tried: dict[str, int] = {}  # step -> assumed number of its runs from states of the solver
         self.spent = False
         self.units = 0
-        # number of states judged when the last new one was found, and the unit of work in which it was found
-        self.news = 0, 0
+        # (number of judged states, number of units of work) when the attack last found a new state
+        self.last_found = 0, 0
 
     def clock(self) -> float:
         return self.computing() + self.waited
@@ -231,9 +240,9 @@ class _AttackSearch:
         return None
 
     def confirmed(self, found: Contradiction) -> Contradiction:
-        """Run a contradiction again from its beginning, with a new judge.
+        """Run the trial of a contradiction a second time, from its first state, with a new judge.
 
-        Raises InternalError if the contradiction does not occur again."""
+        Return the contradiction of the second run. Raises InternalError if the second run shows no contradiction."""
         why = "the second run shows no contradiction"
         try:
             again = TrialJudge(self.exact, self.proved, self.states.answers).replay(found.trial).contradiction
@@ -241,10 +250,10 @@ class _AttackSearch:
                 return again
         except (TrialNotCovered, UnusableStep) as error:
             why = str(error)
-        raise InternalError(f"the attack on {found.breach.invariant} cannot repeat its contradiction: {why}")
+        raise InternalError(f"the attack cannot repeat its contradiction of {found.breach.invariant}: {why}")
 
     def alternate(self) -> None:
-        """Use all sources for the same share of time each, until the budget is used up."""
+        """Take states from all sources, each for an equal share of time, until the time budget is used up."""
         sources = [self.walks(), self.varied()] + ([self.modelled()] if self.solver is not None else [])
         used = [0.0] * len(sources)
         while sources:
@@ -259,23 +268,23 @@ class _AttackSearch:
             self.unit()
 
     def unit(self) -> None:
-        """Count one unit of work.
+        """Count one unit of work: an attempt to find a state or to run a step.
 
-        Raises BudgetSpent if the budget is used up, or if the last STALE units found no new state."""
-        if len(self.judge.known) > self.news[0]:
-            self.news = len(self.judge.known), self.units
+        Raises BudgetSpent if the time budget is used up, or if the last STALE units found no new state."""
+        if len(self.judge.known) > self.last_found[0]:
+            self.last_found = len(self.judge.known), self.units
         self.units += 1
         self.spent = self.clock() > self.until
-        if self.spent or self.units - self.news[1] > STALE:
+        if self.spent or self.units - self.last_found[1] > STALE:
             raise BudgetSpent
 
-    # Initial states and first rounds
+    # Attack of initial states and first rounds
 
     def first(self) -> Iterator[None]:
-        """Attack the first states of each fleet size.
+        """Attack STARTS initial states of each fleet size.
 
-        For each state: run `init`, then each possible event of one robot alone, and a step of the environment after
-        each event. Then run a few rounds of a random walk."""
+        From each initial state, run `init`. Then run each possible event of a single robot, followed by a step of the
+        environment, and one random walk."""
         for robots in self.fleets:
             for _ in range(STARTS):
                 place = self.launch(robots)
@@ -284,7 +293,9 @@ class _AttackSearch:
                     yield from self.walk(place)
 
     def launch(self, robots: int) -> RunPosition | None:
-        """Return a position after every robot has run `init`; None if no initial state is found."""
+        """Draw an initial state, run `init` of all robots, and return the position after `init`.
+
+        Returns None if no initial state is found in TRIES attempts."""
         why = "no state was found that satisfies `initially`"
         for _ in range(TRIES):
             self.unit()
@@ -305,16 +316,16 @@ class _AttackSearch:
         return None
 
     def once(self, place: RunPosition) -> Iterator[None]:
-        """Run every event that a single robot can run in a state, each followed by a step of the environment."""
+        """Run each possible event of a single robot from the given position, followed by a step of the environment."""
         self.settle(place)
         for step in self.steps(place):
             yield
             self.settle(step)
 
-    # Random walks
+    # Attack by random walks
 
     def walks(self) -> Iterator[None]:
-        """Attack the states of random walks, which begin in known or new states after `init`."""
+        """Attack the states of random walks. Each walk begins after `init`, in a known or a newly drawn state."""
         for robots in cycle(self.fleets):
             place = self.launch(robots) if self.random.random() < 0.5 or not self.ready else None
             yield
@@ -336,9 +347,9 @@ class _AttackSearch:
             self.known.append(place.now)
 
     def turn(self, place: RunPosition, pid: int) -> RunPosition:
-        """Run one event of a robot, preferring events that were run least often.
+        """Run one event of a robot: of the robot's possible events, the event with the fewest runs.
 
-        Returns the position after the event, or the same position if the robot can run none."""
+        Return the position after the event, or the given position if no event can be run."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
@@ -346,20 +357,20 @@ class _AttackSearch:
                 return step
         return place
 
-    # Variations of known states
+    # Attack of variations of known states
 
     def varied(self) -> Iterator[None]:
-        """Attack variations of known states: run rounds from those that satisfy the PROVED invariants."""
+        """Attack variations of known states. From each variation that satisfies the PROVED invariants, run a round."""
         while self.known and self.states.variables:
             state = self.states.varied(self.random.choice(self.known))
             self.unit()
             yield
             yield from self.every_order(state, VARIED_ORDERS)
 
-    # States from the solver's models
+    # Attack of states from the solver's models
 
     def modelled(self) -> Iterator[None]:
-        """Attack states of the solver's models: run rounds from them, for one event after another."""
+        """Attack states from the solver's models. Each state is requested for the step with the fewest runs."""
         assert self.solver is not None
         models = Models(self.program, self.exact, self.params, self.solver, self.random)
         plain = {event.name: event for event in self.program.events}
@@ -382,9 +393,10 @@ class _AttackSearch:
                 yield
 
     def every_order(self, state: State, most: int, wanted: str = "") -> Iterator[None]:
-        """Run one round in every order of events, from a state that satisfies the PROVED invariants.
+        """Run one round in every order of events from a state, if the state satisfies the PROVED invariants.
 
-        A step of the environment is run after each event. At most `most` events are run."""
+        After each event, a step of the environment is tried. The search ends after about `most` events.
+        `wanted`: name of the step for which the solver found the state; "" for a state from another source."""
         try:
             if self.judge.violated_hypothesis(state) or not self.fresh(state):
                 return
@@ -403,12 +415,12 @@ class _AttackSearch:
                 yield
                 places.append(step)
 
-    # Steps
+    # Execution of single steps
 
     def steps(self, place: RunPosition) -> Iterator[RunPosition]:
-        """Run every event of every robot that has not run an event in this round.
+        """Run each possible event of each robot that has not run an event in the present round.
 
-        Yields the position after each of them."""
+        All events are run from the given position. Yields the position after each event."""
         for pid in range(len(place.now.robots)):
             if pid not in place.turns:
                 for event in self.options(place, pid):
@@ -417,7 +429,10 @@ class _AttackSearch:
                         yield step
 
     def options(self, place: RunPosition, pid: int) -> list[decl.Event]:
-        """Return the events that a robot may run at this position."""
+        """Return the events that robot `pid` may run at the given position.
+
+        The list is empty if a guard cannot be evaluated. Raises ContradictionFound if a guard must have a value, but
+        has none."""
         try:
             ready = self.judge.ready(place.start, place.now, pid)
         except UnusableStep:
@@ -428,9 +443,9 @@ class _AttackSearch:
         return ready.events
 
     def step(self, place: RunPosition, pid: int, event: decl.Event) -> RunPosition | None:
-        """Return the position after a robot's event; None if the event has no result.
+        """Run an event of robot `pid`, and return the position after the event.
 
-        Raises BudgetSpent, ContradictionFound."""
+        Returns None if the event is discarded or cannot be used. Raises BudgetSpent, ContradictionFound."""
         self.unit()
         self.runs[event.name] = self.runs.get(event.name, 0) + 1
         try:
@@ -443,9 +458,9 @@ class _AttackSearch:
         return self.check(place, act, after, breach)
 
     def settle(self, place: RunPosition) -> RunPosition | None:
-        """Return the position after a step of the environment, which is the beginning of the next round.
+        """Run a step of the environment, which draws new sensor values. Return the position at the next round's start.
 
-        Returns None if the assumptions allow none of the drawn moves."""
+        Returns None if the program's assumptions allow none of the drawn sensor values."""
         self.unit()
         if not self.states.sensors:
             sensors: tuple[Mapping[str, Value], ...] = tuple([{} for _ in place.now.robots])
@@ -458,7 +473,7 @@ class _AttackSearch:
                 move = next(allowed, None)
                 if move is None:
                     self.judge.reasons.setdefault(
-                        (ENVIRONMENT, ""), "the assumptions allow none of the moves that were drawn"
+                        (ENVIRONMENT, ""), "the assumptions allow none of the sensor values that were drawn"
                     )
                     return None
                 fleet.append(move)
@@ -468,14 +483,14 @@ class _AttackSearch:
         return self.check(place, act, after, breach)
 
     def check(self, place: RunPosition, act: Act, after: State, breach: VerdictBreach | None) -> RunPosition:
-        """Return the position after a step. Raises ContradictionFound if the step contradicts a verdict."""
+        """Return the position after the step `act`. Raises ContradictionFound if `breach` is not None."""
         step = place.then(act, after)
         if breach is not None:
             raise ContradictionFound(Contradiction(Trial(step.first, step.acts), breach, place.now, after))
         return step
 
     def fresh(self, state: State) -> bool:
-        """Return whether a state has not been attacked before, and remember the state."""
+        """Return whether a state is new to the attack, and record the state."""
         key = key_of(state)
         if key in self.seen:
             return False

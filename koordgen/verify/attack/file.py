@@ -1,10 +1,10 @@
-"""File of a contradiction (`koord-unsound/1`): writer and parser of a trial as JSON.
+"""Contradiction file (format `koord-unsound/1`): JSON writer and parser for a run that contradicts a verdict PROVED.
 
 Exact numbers are written as text ("1/3", "sqrt(2)").
 
-The parser trusts nothing, since a file may belong to another program, be cut short or be hostile. It checks the
-program's hash, that every name is in the program, that every value has its variable's type, and limits of size. The
-effects of steps are never read from the file: the semantics runs the steps again.
+The parser does not trust a file, which may belong to another program, be incomplete or be hostile. The parser checks
+the program's hash, all names, the types of all values, and limits of size. A file contains no results of steps: the
+semantics runs the steps again.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ FORMAT = "koord-unsound/1"
 MOST_BYTES = 4 << 20
 MOST_ROBOTS = 4
 MOST_ACTS = 64
-DIGITS = 1000  # largest number of digits of a number
+DIGITS = 1000  # largest number of digits of a number in the file
 _NUMBER = re.compile(rf"-?[0-9]{{1,{DIGITS}}}(/[0-9]{{1,{DIGITS}}})?")
 _ROOT = re.compile(r"sqrt\((.*)\)", re.DOTALL)
-_ANEW = "`koordgen prove` writes such a file when it finds a contradiction; run this command to write the file again"
+_ANEW = "run `koordgen prove` again: it writes a new file if it finds a contradiction"
 
 
 class BadFile(Exception):
-    """Raised if the file cannot be used. The message gives the reason, `help` a remedy."""
+    """Raised if a contradiction file is invalid. The message is the reason; `help` is advice for the user."""
 
     def __init__(self, message: str, help: str = _ANEW) -> None:
         super().__init__(message)
@@ -65,22 +65,25 @@ class BadFile(Exception):
 
 
 class TrialFile(NamedTuple):
-    """Content of a file.
+    """Content of a contradiction file.
 
-    `proved`: the names of the PROVED invariants.
-    `trial`: the trial.
-    `invariant`: the name of the invariant that the trial contradicts."""
+    `proved`: names of the PROVED invariants.
+    `trial`: first state and steps of the run that contradicts a verdict.
+    `invariant`: name of the invariant whose verdict is contradicted."""
 
     proved: tuple[str, ...]
     trial: Trial
     invariant: str
 
 
-# Writing
+# Writer of a contradiction file
 
 
 def to_text(found: Contradiction, proved: Iterable[str], program_hash: str, path: str) -> str:
-    """Return a contradiction as the text of a file."""
+    """Return the text of a contradiction file.
+
+    `proved`: names of the PROVED invariants.
+    `program_hash`, `path`: hash and path of the attacked program."""
     state = found.trial.state
     document = {
         "format": FORMAT,
@@ -118,7 +121,7 @@ def _values(values: Mapping[str, Value]) -> dict[str, Any]:
 
 
 def to_json(value: Any) -> Any:
-    """Return a value of the program as a value of JSON."""
+    """Return a Koord value as a JSON value. `read_trial` needs the value's type to convert it back."""
     match value:
         case bool() | int() | str():
             return value
@@ -140,22 +143,23 @@ def to_json(value: Any) -> Any:
             raise AssertionError(f"{value!r} is not a value of the language")
 
 
-# Reading
+# Parser of a contradiction file
 
 
 def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFile:
-    """Return the content of a contradiction file. Raises BadFile.
+    """Parse and check a contradiction file. Raises BadFile if the file is invalid.
 
-    `program`: the program with exact numbers.
-    `program_hash`: the program's hash, which must be the one in the file."""
+    `data`: content of the file.
+    `program`: program with exact numbers, to which the file must belong.
+    `program_hash`: hash of this program. The file must contain the same hash."""
     if len(data) > MOST_BYTES:
         raise BadFile(f"the file has {len(data)} bytes; the limit is {MOST_BYTES}")
     try:
         document = json.loads(data.decode("utf-8"), parse_constant=_no_constant, object_pairs_hook=_each_once)
     except RecursionError:
         raise BadFile("the file's JSON is nested too deeply") from None
-    except ValueError as error:  # ValueError is the base class of UnicodeDecodeError and JSONDecodeError
-        raise BadFile(f"the file is not JSON, or was cut short: {error}") from None
+    except ValueError as error:  # base class of UnicodeDecodeError and JSONDecodeError
+        raise BadFile(f"the file is not valid JSON: {error}") from None
     file = _TrialReader(program)
     top = file.table(document, "the file", _TOP)
     if top["format"] != FORMAT:
@@ -163,7 +167,7 @@ def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFi
     if top["program"] != program_hash:
         raise BadFile(
             "the file was written for another program, or for another version of this one",
-            "name exactly the program that the file was written for: each change of a program changes its hash",
+            "give the program for which the file was written; it must be unchanged, so that its hash is the same",
         )
     proved = file.names(top["proved"], "proved")
     invariant = file.name(top["invariant"], "invariant", proved)
@@ -183,12 +187,14 @@ def _no_constant(name: str) -> Any:
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a name occurs twice in one object")
+        raise ValueError("a key occurs twice in one object")
     return found
 
 
 class _TrialReader:
-    """Parser of the parts of a file. It checks each part against the program."""
+    """Parser of the objects in a contradiction file. Each method checks its object against the program.
+
+    In all methods, `what` names the object in messages of BadFile."""
 
     def __init__(self, program: decl.Program) -> None:
         self.program = program
@@ -202,7 +208,7 @@ class _TrialReader:
             self.called.update({f"{n.module}.{n.port}": n for n in walk(function.block) if isinstance(n, PortCall)})
 
     def table(self, data: Any, what: str, keys: Iterable[str]) -> dict[str, Any]:
-        """Return an object of the file. Raises BadFile if its keys are not exactly the given ones."""
+        """Return a JSON object of the file. Raises BadFile unless the object's keys are exactly `keys`."""
         if not isinstance(data, dict):
             raise BadFile(f"{what} is not an object")
         wanted = set(keys)
@@ -213,22 +219,22 @@ class _TrialReader:
 
     def items(self, data: Any, what: str, least: int, most: int) -> list[Any]:
         if not isinstance(data, list) or not least <= len(data) <= most:
-            raise BadFile(f"{what} is no list of {least} to {most} elements")
+            raise BadFile(f"{what} is not a list of {least} to {most} elements")
         return data
 
     def names(self, data: Any, what: str) -> tuple[str, ...]:
-        """Return a list of invariants' names, including names of loop invariants."""
+        """Return a list of the file that contains names of invariants or of loop invariants of the program."""
         known = names_of(self.program)
         return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
 
     def name(self, data: Any, what: str, known: Iterable[str]) -> str:
         if not isinstance(data, str) or data not in known:
-            raise BadFile(f"{what}: {_short(data)} is none of the possible names")
+            raise BadFile(f"{what}: {_short(data)} is none of the allowed names")
         return data
 
     def whole(self, data: Any, what: str, most: int) -> int:
         if type(data) is not int or not 0 <= data <= most:
-            raise BadFile(f"{what}: {_short(data)} is no number from 0 to {most}")
+            raise BadFile(f"{what}: {_short(data)} is not a whole number from 0 to {most}")
         return data
 
     def trial(self, top: Mapping[str, Any]) -> Trial:
@@ -266,7 +272,7 @@ class _TrialReader:
             return Act(event, None, tuple([self.values(new, "sensors", self.sensors) for new in moved]))
         table = self.table(data, "a step", ("event", "robot", "answers"))
         if event == INIT and table["robot"] is not None:
-            raise BadFile("`init` belongs to every robot: its `robot` must be null")
+            raise BadFile("the step `init` is run by all robots, so the step's `robot` must be null")
         pid = None if event == INIT else self.whole(table["robot"], "a step's robot", robots - 1)
         answers = self.items(table["answers"], "answers", 0, 1000)
         return Act(event, pid, (), tuple([self.answer(one, robots) for one in answers]))
@@ -288,14 +294,16 @@ class _TrialReader:
         try:
             value = _value(data, type_)
         except (TypeError, ValueError, LookupError, ArithmeticError):
-            raise BadFile(f"{name}: {_short(data)} is no {type_}") from None
+            raise BadFile(f"{name}: {_short(data)} is not of type {type_}") from None
         if not conforms(value, type_):
-            raise BadFile(f"{name}: {_short(data)} is no {type_}")
+            raise BadFile(f"{name}: {_short(data)} is not of type {type_}")
         return value  # type: ignore[no-any-return]
 
 
 def _value(data: Any, type_: Type) -> Any:
-    """Convert data to a value of the type. Raises TypeError, ValueError, LookupError or ArithmeticError."""
+    """Convert a JSON value to a Koord value of the given type.
+
+    Raises TypeError, ValueError, LookupError or ArithmeticError if the JSON value does not fit the type."""
     match type_:
         case Sequence(_, element) | PerRobot(element):
             return tuple([_value(part, element) for part in _list(data)])
@@ -350,7 +358,7 @@ def _whole(data: Any) -> int:
 
 
 def _number(data: Any) -> Any:
-    """Return the exact number that a text denotes."""
+    """Return the exact number that a text such as "1/3" or "sqrt(2)" denotes. Raises TypeError, ValueError."""
     if not isinstance(data, str) or len(data) > 2 * DIGITS + 20:
         raise TypeError
     if data in ("inf", "-inf", "nan"):
@@ -367,6 +375,6 @@ def _float(data: Any) -> float:
 
 
 def _short(data: Any) -> str:
-    """Return data of the file as text for a message, shortened if it is long."""
-    text = json.dumps(data)  # in JSON text, control characters and lone surrogates are escaped
+    """Return a JSON value as text of at most 60 characters for an error message."""
+    text = json.dumps(data)  # JSON escapes control characters and lone surrogates, so the text can be printed
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,8 +1,8 @@
-"""Judge of verdicts: runs steps by the semantics, and finds PROVED invariants that are false.
+"""Judge of an attack: runs steps of a program, and evaluates PROVED invariants after each step.
 
-`koordgen.lang.semantics` alone decides what the language allows: which events may run (`choices`), what they write, and
-how sensors may change. If an invariant cannot be evaluated in a state (because of a root that is not a fraction, or a
-`spec fun`), this is no contradiction. The state then does not count as one in which the invariant was attacked.
+The executable semantics (`koordgen.lang.semantics`) decides which events may run, which values they write, and how
+sensors may change. Sometimes an invariant cannot be evaluated in a state, because of an irrational root or a
+`spec fun`. Such a state is no contradiction, and the report does not count it for this invariant.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from koordgen.verify.prove.report.model_reader import Unshowable
 
 WELL_DEFINED = "(well-defined)"
 INIT, ENVIRONMENT = "init", "(environment)"
-# Begins the message about a fault that, according to the checker's proof, cannot occur.
+# Beginning of the semantics' message about a fault that the compiler proved to be impossible.
 PROVED_RIGHT = "proved to have a value, but: "
-# Beginnings of the semantics' messages about faults that `(well-defined)` excludes. An event may also be discarded
-# because of a capacity, the range of 64-bit ints, the number of loop iterations, an `ensures` or a port.
-# `(well-defined)` does not exclude these faults.
+# Beginnings of the semantics' messages about faults that the invariant `(well-defined)` excludes. The invariant does
+# not exclude that an event exceeds a capacity, the range of 64-bit ints or the number of loop iterations, or that an
+# `ensures` or a port discards the event.
 COVERED = (
     "index ", "a slice from", "what is looked for is not there", "the map has no such key",
     "math domain error", "an int to the power of a negative one",
@@ -50,12 +50,12 @@ FALLIBLE = frozenset(
 
 
 class Act(NamedTuple):
-    """One step of a trial.
+    """One step of a run: an event of a robot, `init` of all robots, or a step of the environment.
 
-    `event`: the name of an event; INIT; or ENVIRONMENT.
-    `pid`: the robot that runs the event; None for INIT and ENVIRONMENT, which are steps of all robots.
-    `sensors`: for ENVIRONMENT, the new sensor values of all robots.
-    `answers`: the answers of callable ports in this step."""
+    `event`: name of the event, INIT or ENVIRONMENT.
+    `pid`: robot that runs the event; None for INIT and ENVIRONMENT, which are steps of all robots.
+    `sensors`: new sensor values of each robot after a step of the environment.
+    `answers`: results of the port calls in this step."""
 
     event: str
     pid: int | None = None
@@ -64,17 +64,17 @@ class Act(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """Trial: a state, and the steps to run from it.
+    """Trial: a run of the program that may contradict a verdict, given as a first state and the steps from this state.
 
-    The state is one at a round's start, or one before `init`. In a round each robot runs at most one event; a step of
-    the environment ends the round."""
+    The first state is a state before `init` or at the start of a round. In a round, each robot runs at most one event.
+    A step of the environment ends the round."""
 
     state: State
     acts: tuple[Act, ...]
 
 
 class VerdictBreach(NamedTuple):
-    """Contradiction of the verdict on one invariant, with the reason."""
+    """Name of an invariant whose verdict PROVED is contradicted, and the reason."""
 
     invariant: str
     why: str
@@ -83,7 +83,7 @@ class VerdictBreach(NamedTuple):
 class Contradiction(NamedTuple):
     """Contradiction: a trial whose last step contradicts a PROVED invariant.
 
-    `before`, `after`: the states before and after the last step."""
+    `before`, `after`: states before and after the last step."""
 
     trial: Trial
     breach: VerdictBreach
@@ -92,41 +92,41 @@ class Contradiction(NamedTuple):
 
 
 class ReadyEvents(NamedTuple):
-    """Events that a robot may run.
+    """Events that a robot may run in a state.
 
-    `fault`: the step of an event whose guard has no value although `(well-defined)` promises one; None if there is
-        none."""
+    `fault`: step of an event whose guard has no value, which contradicts the verdict on `(well-defined)`; None if all
+        guards have values."""
 
     events: list[decl.Event]
     fault: tuple[Act, VerdictBreach] | None
 
 
 class ReplayedTrial(NamedTuple):
-    """Result of replaying a trial.
+    """Result of running all steps of a trial.
 
-    `states`: the state before the first step, and the state after each step.
-    `contradiction`: the contradiction in the last step; None if there is none."""
+    `states`: state before the first step, and state after each step.
+    `contradiction`: contradiction of a verdict by the last step; None if no verdict is contradicted."""
 
     states: tuple[State, ...]
     contradiction: Contradiction | None
 
 
 class UnusableStep(Exception):
-    """Raised if a step cannot be used for the attack; the message gives the reason."""
+    """Raised if an attack cannot use a step, for example because a value is unknown. The message gives the reason."""
 
 
 class TrialNotCovered(Exception):
-    """Raised if the verdicts make no claim about this trial; the message gives the reason."""
+    """Raised if the prover's verdicts make no claim about a trial. The message gives the reason."""
 
 
 class TrialJudge:
-    """Judge of the verdicts on one program.
+    """Judge of the verdicts PROVED on one program: runs steps, and evaluates the PROVED invariants after each step.
 
     `program`: the program with exact numbers.
-    `proved`: the names of the PROVED invariants.
-    `draw`: proposes answers of callable ports.
-    `counts`: (step, invariant) -> number of states in which the invariant was judged.
-    `reasons`: (step, invariant) -> the reason why the invariant could not be judged."""
+    `proved`: names of the PROVED invariants.
+    `draw`: proposes results of port calls.
+    `counts`: (step, invariant) -> number of states in which the invariant was evaluated after the step.
+    `reasons`: (step, invariant) -> reason why the invariant could not be evaluated after the step."""
 
     def __init__(self, program: decl.Program, proved: Collection[str], draw: Draw) -> None:
         self.program = program
@@ -135,8 +135,8 @@ class TrialJudge:
         self.initially = [p for p in program.properties if p.kind == "initially"]
         self.rigid = [p for property_ in self.initially for p in _conjuncts(property_.formula) if not _of_fleet(p)]
         self.events = {event.name: event for event in program.events}
-        # step -> (owner, name) of the PROVED loop invariants in the step's statements and in the functions that they
-        # call
+        # step -> PROVED loop invariants in the step and in the functions that the step calls, each as (name of the step
+        # or function, name of the invariant)
         self.at_heads: dict[str, list[tuple[str, str]]] = {}
         for step, block in ((INIT, program.init), *((e.name, e.effect) for e in program.events)):
             self.at_heads[step] = [found for found in _at_heads(program, step, block) if found[1] in proved]
@@ -148,14 +148,14 @@ class TrialJudge:
         self.ports = AttackPorts(program, draw)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.reasons: dict[tuple[str, str], str] = {}
-        self.known: set[tuple[object, ...]] = set()  # keys of all states that were judged
+        self.known: set[tuple[object, ...]] = set()  # keys of all states in which invariants were evaluated
 
-    # Judging states
+    # Evaluation of invariants in states
 
     def judged(self, state: State, event: str) -> VerdictBreach | None:
-        """Return a contradiction if a PROVED invariant is false after `event`; otherwise None.
+        """Evaluate the PROVED invariants in the state after `event`. Return the first contradiction, or None.
 
-        The first such invariant counts. Each state is judged at most once for each event."""
+        A state that was already judged after the same event is not judged again."""
         if not self._new(event, key_of(state)):
             return None
         for property_ in self.invariants:
@@ -187,14 +187,16 @@ class TrialJudge:
         return len(self.known) > before
 
     def is_start(self, state: State) -> bool:
-        """Return whether a mission may begin in a state. Raises UnusableStep if this cannot be decided."""
+        """Return whether a mission may begin in a state: whether all formulas of `initially` hold in the state.
+
+        Raises UnusableStep if a formula cannot be evaluated."""
         return all(self._true(property_, state) for property_ in self.initially)
 
     def violated_hypothesis(self, state: State) -> str:
-        """Return the name of a hypothesis that a state violates; empty if the state satisfies all hypotheses.
+        """Return the name of the first hypothesis that a state violates; "" if the state satisfies all hypotheses.
 
-        Hypotheses are the PROVED invariants, and those formulas of `initially` that read params only: params never
-        change, so these formulas hold in every state. Raises UnusableStep."""
+        Hypotheses are the PROVED invariants and all formulas of `initially` that read only params. Params never change,
+        so such a formula must hold in every state. Raises UnusableStep if a hypothesis cannot be evaluated."""
         for part in self.rigid:
             if not self._true(decl.Property("initially", "", part, part.span), state):
                 return f"the formula of `initially` about params in line {part.span.line}"
@@ -212,13 +214,13 @@ class TrialJudge:
             raise UnusableStep(self.ports.lacking)
         return held
 
-    # Running steps
+    # Execution of single steps
 
     def init(self, state: State, given: Iterable[PortAnswer] | None = None) -> tuple[State, Act, VerdictBreach | None]:
-        """Run every robot's `init`.
+        """Run `init` of all robots, and judge the state after `init`.
 
-        If an `init` is discarded, its robot stops and the mission does not begin, so the invariants make no claim. Only
-        the verdict on `(well-defined)` does: it claims that no `init` is discarded. Raises UnusableStep."""
+        If `init` of a robot is discarded, no mission begins, and most verdicts make no claim. Only `(well-defined)`
+        claims that `init` is not discarded. Raises UnusableStep."""
         self.ports.begin(state, given)
         try:
             after, steps = run_init(self.program, state, self.ports.world)
@@ -244,7 +246,9 @@ class TrialJudge:
         return after, self._act(INIT), broken or self.judged(after, INIT)
 
     def ready(self, start: State, now: State, pid: int, given: Iterable[PortAnswer] | None = None) -> ReadyEvents:
-        """Return what robot `pid` may do in a round that began in state `start`. Raises UnusableStep."""
+        """Return the events that robot `pid` may run in state `now` of a round that began in state `start`.
+
+        Raises UnusableStep if a guard cannot be evaluated."""
         self.ports.begin(now, given)
         try:
             steps = choices(self.guards, now, pid, start.store, self.ports.world)
@@ -252,12 +256,12 @@ class TrialJudge:
             stopped = now.robots[pid].stopped or not self.defined
             return ReadyEvents(found, None if stopped else self._guard_fault(start, now, pid, found))
         except (NotExact, NoMeaning, InternalError) as error:
-            raise UnusableStep(f"the guards cannot be evaluated: {error}") from None
+            raise UnusableStep(f"the guards of robot {pid}'s events cannot be evaluated: {error}") from None
 
     def _guard_fault(
         self, start: State, now: State, pid: int, found: list[decl.Event]
     ) -> tuple[Act, VerdictBreach] | None:
-        """Return the step of an event whose guard has no value although `(well-defined)` promises one."""
+        """Return the step of the first event whose guard has no value, if this contradicts `(well-defined)`."""
         for event in self.program.events:
             if event.name not in self.fallible or event in found:
                 continue
@@ -271,7 +275,9 @@ class TrialJudge:
         return None
 
     def _comes_to(self, event: decl.Event, start: State, now: State, pid: int) -> bool:
-        """Return whether no event with priority prevents the robot from running an event."""
+        """Return whether a robot may run `event` if the guard of `event` is true.
+
+        The result is False if an event of higher priority runs in place of `event`."""
         events = [replace(e, guard=TRUE) if e.name == event.name else e for e in self.guards.events]
         steps = choices(replace(self.guards, events=tuple(events)), now, pid, start.store, self.ports.world)
         return any(step.event == event.name for step in steps)
@@ -279,10 +285,10 @@ class TrialJudge:
     def event(
         self, start: State, now: State, pid: int, event: decl.Event, given: Iterable[PortAnswer] | None = None
     ) -> tuple[State, Act, VerdictBreach | None] | None:
-        """Run an event of robot `pid`, which `ready` returned. Raises UnusableStep.
+        """Run an event of robot `pid` that `ready` returned, and judge the state after the event.
 
-        Returns None if the event is discarded for a reason that no verdict excludes."""
-        self.ports.begin(now, given)  # the ports may have been used for other states since `ready`
+        Returns None if the event is discarded for a reason that no verdict excludes. Raises UnusableStep."""
+        self.ports.begin(now, given)  # needed, because `ports` may have been used for another state since `ready`
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)
@@ -295,9 +301,9 @@ class TrialJudge:
         if not isinstance(outcome, Writes):
             breach = self._fault(name, str(outcome), outcome.reason)
             if breach is None:
-                given_up = outcome.reason == UNFINISHED  # the attack's limit is far lower than a robot's limit
-                why = f"given up: it takes more than {TURNS:,} turns" if given_up else f"discarded: {outcome.reason}"
-                self.reasons.setdefault((name, ""), f"each run of it was {why}")
+                given_up = outcome.reason == UNFINISHED  # the attack allows far fewer turns than a robot
+                why = f"abandoned after {TURNS:,} turns of loops" if given_up else f"discarded: {outcome.reason}"
+                self.reasons.setdefault((name, ""), f"each run of the event was {why}")
             return (now, self._act(name, pid), breach) if breach else None
         if self.defined and self._new(WELL_DEFINED, name, pid, key_of(_seen(event, start, now))):
             self.counts[name, WELL_DEFINED] += 1
@@ -306,7 +312,7 @@ class TrialJudge:
         return after, self._act(name, pid), broken or self.judged(after, name)
 
     def _at_head(self, step: str, pid: int | None, seen: State, writes: Writes) -> VerdictBreach | None:
-        """Return the contradiction of a PROVED loop invariant that was false at its loop's head in a step."""
+        """Return the contradiction if a PROVED loop invariant was false at the head of its loop during a step."""
         violated = {f"line {span.line}" for span in writes.violated}
         new = self._new("at heads", step, pid, key_of(seen)) if self.at_heads[step] else False
         for owner, name in self.at_heads[step]:
@@ -318,19 +324,25 @@ class TrialJudge:
     def environment(
         self, now: State, sensors: tuple[Mapping[str, Value], ...]
     ) -> tuple[State, Act, VerdictBreach | None]:
-        """Run the environment's step, if the assumptions allow it. Raises UnusableStep."""
+        """Run a step of the environment, which sets new sensor values, and judge the state after the step.
+
+        Raises UnusableStep if the program's assumptions do not allow the new values."""
         for pid, (robot, new) in enumerate(zip(now.robots, sensors, strict=True)):
             if not self.may_move(now, pid, {**robot.ports, **new}):
-                raise UnusableStep("the assumptions do not allow this step")
+                raise UnusableStep("the assumptions do not allow the new sensor values of this step")
         return self.moved(now, sensors)
 
     def moved(self, now: State, sensors: tuple[Mapping[str, Value], ...]) -> tuple[State, Act, VerdictBreach | None]:
-        """Run the environment's step. The caller knows that the assumptions allow it."""
+        """Run a step of the environment without a check of assumptions, and judge the state after the step.
+
+        The caller has checked that the program's assumptions allow the new sensor values."""
         after = sense(now, sensors)._replace(round=now.round + 1)
         return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
 
     def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
-        """Return whether the assumptions allow a robot's ports to take these values. Raises UnusableStep."""
+        """Return whether the program's assumptions allow that a robot's ports change to the values `ports`.
+
+        Raises UnusableStep if an assumption cannot be evaluated."""
         try:
             return is_allowed(self.program, now.robots[pid].ports, ports, pid, now)
         except (Unshowable, NotExact, NoMeaning, InternalError) as error:
@@ -343,20 +355,25 @@ class TrialJudge:
         self.reasons[event, ""] = why
         return UnusableStep(why)
 
-    def _fault(self, event: str, told: str, reason: str = "") -> VerdictBreach | None:
-        """Return a contradiction of `(well-defined)`, if the verdict claims that this fault cannot occur."""
+    def _fault(self, event: str, message: str, reason: str = "") -> VerdictBreach | None:
+        """Return a contradiction if `(well-defined)` is PROVED and claims that the given fault cannot occur.
+
+        `message`: text of the fault.
+        `reason`: reason why the event was discarded, or "" for an internal error of the semantics."""
         where = "init" if event == INIT else f"event {event}"
-        _, claimed, within = told.partition(PROVED_RIGHT)
+        _, claimed, within = message.partition(PROVED_RIGHT)
         if not is_covered(within if claimed else reason):
             if not reason:
-                raise self._unusable(event, told)
+                raise self._unusable(event, message)
             return None
-        return VerdictBreach(WELL_DEFINED, f"{where} has no result: {told}") if self.defined else None
+        return VerdictBreach(WELL_DEFINED, f"{where} has no result: {message}") if self.defined else None
 
-    # Whole trials
+    # Execution of whole trials
 
     def replay(self, trial: Trial) -> ReplayedTrial:
-        """Run a trial from its beginning, with all checks. Raises TrialNotCovered, UnusableStep."""
+        """Run all steps of a trial from its first state, and check each step.
+
+        Raises TrialNotCovered if the verdicts make no claim about the trial, UnusableStep if a step cannot be used."""
         state, acts = trial.state, trial.acts
         if state.round == 0:
             if not self.is_start(state):
@@ -364,11 +381,11 @@ class TrialJudge:
         elif broken := self.violated_hypothesis(state):
             raise TrialNotCovered(f"the first state of the trial violates {broken}")
         states, start = [state], state
-        turns: set[int] = set()  # robots that already ran an event in this round
+        turns: set[int] = set()  # pids of the robots that have run an event in the present round
         breach: VerdictBreach | None = None
         for act in acts:
             if breach is not None:
-                raise TrialNotCovered("the trial goes on after a step that contradicts a verdict")
+                raise TrialNotCovered("the trial has further steps after a step that contradicts a verdict")
             if act.pid in turns:
                 raise TrialNotCovered(f"robot {act.pid} runs two events in one round")
             now, breach = self._replayed(start, states[-1], act)
@@ -377,9 +394,11 @@ class TrialJudge:
         return ReplayedTrial(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
     def _replayed(self, start: State, now: State, act: Act) -> tuple[State, VerdictBreach | None]:
-        """Run one step of a trial, in a round that began in state `start`."""
+        """Run one step of a trial in state `now` of a round that began in state `start`.
+
+        Return the state after the step, and a contradiction or None."""
         if (act.event == INIT) != (now.round == 0):
-            raise TrialNotCovered("`init` must be the first step, and occur once")
+            raise TrialNotCovered("`init` must be the first step of a trial that begins before round 1, and no other")
         if act.event == INIT:
             after, _, breach = self.init(now, act.answers)
             return after, breach
@@ -396,7 +415,7 @@ class TrialJudge:
                 return step[0], step[2]
         if ready.fault is not None and ready.fault[0].event == act.event:
             return now, ready.fault[1]
-        raise TrialNotCovered(f"robot {act.pid} may not run {act.event} at its step")
+        raise TrialNotCovered(f"robot {act.pid} may not run event {act.event} at this step of the trial")
 
 
 def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
@@ -408,13 +427,15 @@ def _conjuncts(formula: ir.Expr) -> Iterator[ir.Expr]:
 
 
 def _of_fleet(formula: ir.Expr) -> bool:
-    """Return whether a formula mentions anything but params."""
+    """Return whether a formula reads variables, ports or pids of the fleet, and not only params."""
     return any(isinstance(n, (ir.LocalOf, ir.PortOf, ir.SlotRead, ir.SlotsRead, ir.SharedRead, ir.Ids))
                for n in walk(formula))  # fmt: skip
 
 
 def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[str, str]]:
-    """Yield (owner, name) of the loop invariants of a block, and of the functions that the block calls."""
+    """Yield the loop invariants of a block and of all functions that the block calls, as (owner, name).
+
+    `owner`: name of the event or function that contains the loop. A loop invariant's name is its line."""
     functions = {function.name: function for function in program.functions}
     called: dict[str, Part] = {owner: block}
     for _ in functions:
@@ -425,17 +446,19 @@ def _at_heads(program: decl.Program, owner: str, block: Part) -> Iterator[tuple[
 
 
 def names_of(program: decl.Program) -> list[str]:
-    """Return the names of everything on which the prover gives a verdict in this program."""
+    """Return the names of all invariants of a program on which the prover gives a verdict.
+
+    These are `(well-defined)`, the program's invariants, and its loop invariants, which are named by their lines."""
     blocks = (program.init, program.events, program.functions)
     loops = [f"line {n.span.line}" for n in walk(blocks) if isinstance(n, stmt.LoopInvariant)]
     return [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"], *loops]
 
 
 def _is_fallible(part: Part, functions: Collection[str]) -> bool:
-    """Return whether a part of a program contains an operation that may have no value.
+    """Return whether a part of a program contains an operation that may have no value, such as a division.
 
-    Only operations count for which `(well-defined)` promises a value. Operations in the functions that the part calls
-    count, too."""
+    Only operations count that `(well-defined)` promises to have a value.
+    `functions`: names of the functions that contain such an operation; a call of these functions counts, too."""
     for node in walk(part):
         match node:
             case ir.SlotRead(_, index):
@@ -454,17 +477,20 @@ def _is_fallible(part: Part, functions: Collection[str]) -> bool:
 
 
 def is_covered(reason: str) -> bool:
-    """Return whether `(well-defined)` claims that a fault with this reason cannot occur."""
+    """Return whether the invariant `(well-defined)` excludes faults with the given reason."""
     return reason.startswith(COVERED) or any(part in reason for part in COVERED_WITHIN)
 
 
 def _seen(event: decl.Event, start: State, now: State) -> State:
-    """Return the state that an event reads. A plain event reads the shared store of the round's start."""
+    """Return the state that an event reads.
+
+    A transaction reads the present shared variables. Any other event reads the shared variables as they were at the
+    start of the round."""
     return now if event.lock is not None else now._replace(store=start.store)
 
 
 def key_of(state: State) -> tuple[object, ...]:
-    """Return a key of a state. Different states have different keys; the number of the round is ignored."""
+    """Return a hashable key of a state. States have equal keys if they differ at most in the number of the round."""
     robots = [(*r.locals.values(), None, *r.ports.values(), r.stopped) for r in state.robots]
     store = (*state.store.slots.values(), None, *state.store.cells.values())
     return (*state.params.values(), None, *robots, *store)

@@ -1,8 +1,8 @@
-"""States from the solver in which a step can start: the PROVED invariants and a guard hold.
+"""States for an attack, which the SMT solver finds: the PROVED invariants and the guard of an event hold in them.
 
-Only the assumptions before a step are encoded, never the step itself. So a mistake in the encoding of the step cannot
-exclude the state that would reveal the mistake. Models are not trusted either: the judge checks each state before it is
-attacked.
+The formula for the solver encodes only the state before a step, never the step itself. So a mistake in the encoding of
+steps cannot exclude the state that would reveal the mistake. The solver's states are not trusted: before the attack
+uses a state, `judge.py` evaluates the invariants in the state.
 """
 
 from __future__ import annotations
@@ -29,32 +29,35 @@ from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver, SolverMissing
 from koordgen.verify.prove.smt.term import Term
 
-QUERY = 2.0  # limit of one query to the solver, in seconds
-NUDGES = 3  # largest number of conditions on parts of a state that are added to get another model
+QUERY = 2.0  # time limit of one query to the solver, in seconds
+NUDGES = 3  # largest number of random conditions that a query adds, so that the solver returns a different state
 NUMBERS = (-1, 0, 1, 2, 3, 7)
 
 
 class Models:
-    """Source of states of one program, taken from the solver's models.
+    """Source of states of one program, which the SMT solver finds.
 
-    All invariants of the program are PROVED. `exact` is the same program with exact numbers."""
+    `program`: the program; the verdict on each of its invariants is PROVED.
+    `exact`: the same program with exact numbers.
+    `params`: values of params that are fixed.
+    `why`: reason why the last search found no state."""
 
     def __init__(
         self, program: decl.Program, exact: decl.Program, params: dict[str, ir.Expr], solver: Solver | CrossCheck,
         random: Random,
     ) -> None:  # fmt: skip
         self.program, self.exact, self.params, self.solver, self.random = program, exact, params, solver, random
-        # (event, number of robots) -> encoded hypotheses; None if they are too large to encode
+        # (event name, number of robots) -> encoded invariants and guard; None if the encoding is too large
         self.asked: dict[tuple[str, int], _Hypotheses | None] = {}
         self.why = ""
         self.waited = 0.0  # seconds spent waiting for the solver
         t.forget()
 
     def state(self, event: decl.Event | None, robots: int, most: float) -> State | None:
-        """Return a state in which the guard of `event` holds for a robot; None if no state can be found.
+        """Search for a state with `robots` robots in which the guard of `event` holds for some robot.
 
-        The state has `robots` robots. The search takes at most `most` seconds. If there is no state, `why` gives the
-        reason."""
+        If `event` is None, only the invariants must hold. One query takes at most `most` seconds. Returns None if no
+        state is found; then the attribute `why` is the reason."""
         key = event.name if event is not None else "", robots
         if key not in self.asked:
             t.count_anew()
@@ -77,7 +80,7 @@ class Models:
         if asked.useless:
             return None
         facts = tuple(
-            [LabelledFormula("different from the last state", term, "", 0) for term in (*asked.reader.short(), *more)]
+            [LabelledFormula("condition on the state to find", term, "", 0) for term in (*asked.reader.short(), *more)]
         )
         query = replace(asked.obligation, facts=(*asked.obligation.facts, *facts))
         try:
@@ -85,16 +88,16 @@ class Models:
             self.waited += answer.seconds
             if answer.result != "sat":
                 said = "no state satisfies" if answer.result == "unsat" else "the solver found no state that satisfies"
-                self.why = f"{said} the invariants and its guard, in a fleet of {robots}"
+                self.why = f"{said} the invariants and the guard, in a fleet of {robots}"
                 return None
             asked.reader.answered(answer.values)
             return ModelStates(self.exact, asked.obligation, asked.reader, robots).state("before")
         except (Unshowable, SolverMissing, NotExact, Discarded) as error:
-            self.why = f"the solver's states cannot be run: {error}"
+            self.why = f"no step can be run from the solver's state: {error}"
             return None
 
     def _nudges(self, asked: _Hypotheses) -> tuple[Term, ...]:
-        """Return random conditions on a few parts of a state, so that the next model is a different one."""
+        """Return random conditions on a few variables of a state, so that the solver's next state is different."""
         parts = [p for p in asked.parts if p.sort in (t.INT, t.REAL, t.BOOL)]
         if not parts:
             return ()
@@ -109,7 +112,7 @@ class Models:
         return wanted if self.random.random() < 0.7 else t.not_(wanted)
 
     def _hypotheses(self, event: decl.Event | None, robots: int) -> Obligation:
-        """Encode the assumptions before a step: the invariants, and the guard of the acting robot."""
+        """Encode the conditions on the state before a step: the invariants, and the guard of `event` for one robot."""
         part_encoder = PartEncoder(ProofProblem(self.program, robots, self.params, "usual"))
         context, problem = part_encoder.context, part_encoder.problem
         now = ArbitraryState(context, problem.types)
@@ -132,9 +135,9 @@ class Models:
 
 
 class _Acting(FleetScope):
-    """Scope of a guard: the variables of one robot at a round's start.
+    """Scope in which an event's guard is encoded: the variables of one robot at the start of a round.
 
-    The answers of callable ports are arbitrary."""
+    A call of a port has an arbitrary result."""
 
     def __init__(self, state: ArbitraryState, context: ProofContext, robot: Term) -> None:
         super().__init__(state)
@@ -151,9 +154,9 @@ class _Acting(FleetScope):
 
 
 def _is_readable(type_: Type) -> bool:
-    """Return whether values of a type can be read from a model.
+    """Return whether values of a type can be read from the solver's answer.
 
-    Variables of other types keep their initial values."""
+    In a state from the solver, a variable of any other type has its initial value."""
     match type_:
         case RecordType(_, fields):
             return all(_is_readable(field) for _, field in fields)
@@ -168,7 +171,9 @@ def _is_readable(type_: Type) -> bool:
 
 
 class _Hypotheses:
-    """Encoded hypotheses, and the reader of their models."""
+    """Encoded conditions on a state (invariants, guard), and the reader of the solver's answers.
+
+    `useless`: true after a query without random conditions found no state."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.obligation = obligation

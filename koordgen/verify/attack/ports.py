@@ -1,7 +1,8 @@
-"""Answers of callable ports and extern functions during an attack.
+"""Results of calls during an attack: calls of ports, such as a planner, and of extern functions.
 
-A callable port may give any answer that its module's assumptions allow. So answers are drawn, and those that are not
-allowed are dropped. The result of an extern function is unknown here: a step that calls one cannot be used.
+A port may return any result that the assumptions about its module allow. So results are drawn at random, and results
+that the assumptions exclude are dropped. Results of extern functions are unknown, because the attack does not run
+Python functions of the user. A step that calls an extern function cannot be used.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from koordgen.lang.semantics.state import NOTHING, State, World
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.prove.report.model_reader import Unshowable, answered
 
-# Limit of loop iterations in one event. An event that exceeds it is abandoned, and cannot be used for the attack.
+# Largest number of turns (passes of loops) in one event. The attack abandons an event that exceeds this limit.
 TURNS = 2_000
 
 Draw = Callable[[State, int, str, tuple[Value, ...]], Iterable[Value]]
@@ -25,17 +26,18 @@ Question = tuple[int, str, tuple[Value, ...]]
 
 
 class PortAnswer(NamedTuple):
-    """Answer of a callable port to robot `pid`."""
+    """Result of a port's call in an event of robot `pid`."""
 
     pid: int
     asked: Asked
 
 
 class AttackPorts:
-    """Callable ports and extern functions for one step at a time.
+    """Callable ports and extern functions, as the semantics sees them during an attack.
 
-    `world`: the functions that the semantics calls.
-    `lacking`: the reason why the present step cannot be used, if a call has no known answer; otherwise empty."""
+    `draw`: proposes results of a port's call.
+    `world`: functions that the semantics calls in place of ports and extern functions.
+    `lacking`: reason why the present step cannot be used: a call without a known result; "" for a usable step."""
 
     def __init__(self, program: decl.Program, draw: Draw) -> None:
         self.program, self.draw = program, draw
@@ -46,12 +48,14 @@ class AttackPorts:
         self.given: Mapping[Question, Value] | None = None
 
     def begin(self, state: State, given: Iterable[PortAnswer] | None = None) -> None:
-        """Prepare for a step from `state`. If `given` is not None, only the calls in it have answers."""
+        """Prepare for a step from `state`: forget the results of earlier calls.
+
+        `given`: the results of all calls that the step may make; None to draw the results at random."""
         self.state, self.lacking, self.asked = state, "", {}
         self.given = None if given is None else {(pid, a.port, a.args): a.answer for pid, a in given}
 
     def answers(self) -> tuple[PortAnswer, ...]:
-        """Return all answers since the step began."""
+        """Return the results of all port calls since the present step began."""
         return tuple([PortAnswer(pid, Asked(port, args, found)) for (pid, port, args), found in self.asked.items()])
 
     def answer(self, pid: int, port: str, args: tuple[Value, ...]) -> Value:
@@ -70,7 +74,7 @@ class AttackPorts:
             except (Unshowable, NotExact, NoMeaning):
                 continue
             return candidate
-        self.lacking = f"the assumptions allow no known answer of {port}"
+        self.lacking = f"the assumptions allow none of the known results of {port}"
         raise LookupError(self.lacking)
 
     def _known(self, pid: int, port: str, args: tuple[Value, ...]) -> Iterable[Value]:

@@ -1,9 +1,9 @@
-"""Random concrete states for attacks: initial states, moves of sensors, answers of planners.
+"""Random states for attacks: draws initial states, new sensor values, and results of planners.
 
-The states are only proposals: the caller checks them against the assumptions.
+The drawn states are only proposals: the caller checks them against the program's assumptions.
 
-Values are drawn from sources that are likely to reveal a mistake: constants in the program, params, commands that were
-given, and numbers next to these. The same seed always draws the same states.
+Values that are likely to reveal a mistake are drawn: constants in the program, params, targets in commands, and numbers
+next to constants. A seed determines all drawn values.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from koordgen.runtime.values.points import Point, Pose
 from koordgen.verify.prove.report.model import exact_state, with_values
 from koordgen.verify.prove.report.reach import Pools
 
-VALUES = 16  # size of the pool of values of one type
-VARIED = 3  # largest number of variables that are changed together in a variation of a state
-DRAWS = 6  # attempts to draw initial sensor values of one robot that fit the robots drawn before
-ARRIVING = 0.4  # probability of a move in which the robot reaches its goal
-MOVES = 5  # number of moves that are drawn for each robot in one step of the environment
+VALUES = 16  # number of different values of one type that can be drawn
+VARIED = 3  # largest number of changes that make a variation of a state
+DRAWS = 6  # attempts to draw the initial sensor values of one robot so that `initially` holds
+ARRIVING = 0.4  # probability that the first proposed sensor values place the robot at its goal
+MOVES = 5  # number of random proposals of new sensor values for each robot in one step of the environment
 BASE = (BOOL, INT, FLOAT, POINT)
 
 
@@ -45,10 +45,10 @@ ELSEWHERE = tuple([_exact_point(*place) for place in ((2, -1, 1), (-3, 4, 0), (9
 
 
 class States:
-    """Source of random states of one program.
+    """Source of random states of one Koord program.
 
     `program`: the program with exact numbers.
-    `free`: the names of the params that may have any value."""
+    `free`: names of the params that may have any value; all other params have the program's values."""
 
     def __init__(self, program: decl.Program, free: Iterable[str], random: Random) -> None:
         self.program, self.random = program, random
@@ -69,13 +69,13 @@ class States:
         self.pools = Pools((), [*spoken, *ELSEWHERE], VALUES)
         self.pooled: dict[tuple[Type, int], tuple[Mapping[str, Value], list[Value]]] = {}
 
-    # States before `init`
+    # Initial states, before `init`
 
     def launch(self, robots: int, attempt: int, plausible: Callable[[State], bool]) -> State | None:
-        """Draw a state before `init` that satisfies `plausible`; None if none is found.
+        """Draw an initial state (before `init`) that satisfies the predicate `plausible`; None if none is found.
 
-        Robots are drawn one after another, so that each one can fit those before it. In the first attempt, robots are
-        at different positions and params have the program's values."""
+        Robots are added one after another, and the predicate is checked after each robot. In attempt 0, robots are at
+        different positions if possible, and params have the program's values."""
         values = {}
         if self.free and attempt % 2:
             bare = self._blank({})
@@ -96,7 +96,7 @@ class States:
         return state
 
     def _blank(self, values: Mapping[str, Value]) -> State:
-        """Return a state of a single robot before `init`, with these params."""
+        """Return the initial state of a single robot, with the given values of params."""
         if values or self.usual is None:
             found = exact_state(initial(with_values(self.program, values), 1))
             if values:
@@ -112,7 +112,7 @@ class States:
                 found[name] = pool[pid % len(pool)]
             else:
                 found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
-        for name, sensor in self.held.items():  # a sensor that the program does not declare may have any value
+        for name, sensor in self.held.items():  # a sensor that the program does not declare gets a drawn value
             found[name] = found[sensor] if sensor in found else self._elsewhere(name, blank, pid, attempt)
         robot = blank.robots[0]
         return robot._replace(ports={**robot.ports, **found})
@@ -124,12 +124,12 @@ class States:
             return self.value(type_, blank)
         return pool[-1 - pid % len(pool)] if attempt == 0 else self.random.choice(pool)
 
-    # The environment's step
+    # New sensor values for a step of the environment
 
     def moves(self, now: State, pid: int) -> Iterator[dict[str, Value]]:
-        """Propose new sensor values of one robot.
+        """Propose new sensor values of robot `pid` for a step of the environment.
 
-        The first proposal is often at the robot's goal. The last proposal is the present values."""
+        The first proposal often places the robot at its goal. The last proposal is the robot's present values."""
         ports = now.robots[pid].ports
         goals = [goal for name, value in ports.items() if name not in self.sensed for goal in _goal(value)]
         if self.random.random() < ARRIVING:
@@ -152,10 +152,10 @@ class States:
             return (place + goal) / 2 if chance < 0.4 and isinstance(place, Point) else goal
         return self.value(type_, now)
 
-    # Variations of a state
+    # Variations of a state in a few variables
 
     def varied(self, state: State) -> State:
-        """Return a state that differs from the given one in a few variables, with drawn or copied values."""
+        """Return a variation of a state: a few variables get drawn values, or values copied from other variables."""
         for _ in range(self.random.randint(1, VARIED)):
             kind, name, type_ = self.random.choice(self.variables)
             pids = range(len(state.robots))
@@ -171,10 +171,10 @@ class States:
             return _of(state, *self.random.choice(alike), pid)
         return self.value(type_, state)
 
-    # Callable ports
+    # Results of port calls
 
     def answers(self, state: State, pid: int, port: str, args: tuple[Value, ...]) -> Iterator[Value]:
-        """Propose answers of a planner in random order: no path, a straight path, a detour, only the goal."""
+        """Propose results of a planner's call in random order: no path, a straight path, a detour, only the goal."""
         module = port.partition(".")[0]
         position = next((state.robots[pid].ports[n] for n in self.positions if n.partition(".")[0] == module), None)
         goal = next((arg for arg in args if isinstance(arg, Point)), None)
@@ -185,10 +185,12 @@ class States:
         self.random.shuffle(ways)
         yield from ways
 
-    # Values
+    # Random values of a type
 
     def pool(self, type_: Type, state: State) -> list[Value]:
-        """Return the pool of values of a type; empty for a type with parts."""
+        """Return the list of values of a type that can be drawn.
+
+        For a type that is not in BASE, such as a list or a record, the result is empty."""
         if type_ not in BASE:
             return []
         key = type_, len(state.robots)
@@ -198,7 +200,7 @@ class States:
         return known[1]
 
     def value(self, type_: Type, state: State) -> Value:
-        """Draw a value of a type."""
+        """Draw a random value of a Koord type."""
         pool = self.pool(type_, state)
         if pool:
             return self.random.choice(pool)
@@ -222,14 +224,14 @@ class States:
 
 
 def _fleet(blank: State, robots: Sequence[Robot]) -> State:
-    """Return a state before `init` of these robots."""
+    """Return the initial state (before `init`) of a fleet of the given robots, with the store of `blank`."""
     count = len(robots)
     slots = {name: values[:1] * count for name, values in blank.store.slots.items()}
     return blank._replace(robots=tuple(robots), store=Store(slots, blank.store.cells))
 
 
 def _of(state: State, kind: str, name: str, pid: int) -> Value:
-    """Return the value of a variable. If each robot has its own, return the value of robot `pid`."""
+    """Return the value of a variable in a state. For a variable that each robot has, return the value of `pid`."""
     if kind == "cell":
         return state.store.cells[name]
     if kind == "slot":
@@ -239,7 +241,7 @@ def _of(state: State, kind: str, name: str, pid: int) -> Value:
 
 
 def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
-    """Return the state with one variable changed."""
+    """Return a copy of a state in which one variable has a new value. For an allwrite variable, `pid` is ignored."""
     store = state.store
     if kind == "cell":
         return state._replace(store=Store(store.slots, {**store.cells, name: value}))
@@ -256,22 +258,22 @@ def _with(state: State, kind: str, name: str, pid: int, value: Value) -> State:
 
 
 def _goal(command: Value) -> list[Point]:
-    """Return a list with the position to which a command sends its robot; empty for other commands.
+    """Return the goal of a motion command as a list of one Point: the Point itself, or the last Point of a path.
 
-    Such a command is a Point or a path."""
+    For any other command, the list is empty."""
     last = command[-1] if isinstance(command, tuple) and command else command
     return [last] if isinstance(last, Point) else []
 
 
 def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
-    """Return the constants of a program: numbers and Points, and its string literals.
+    """Return the constants in a program's text: a list of numbers and Points, and a list of strings.
 
-    The neighbours of each number (one more, one less) are included."""
+    For each number n, the list also contains n + 1 and n - 1."""
     numbers: dict[Any, None] = {}
     points: list[Value] = []
     texts: dict[str, None] = {}
     spoken = (program.params, program.functions, program.modules, program.events, program.properties)
-    for node in reversed(list(walk(spoken))):  # constants at the end of the program come first
+    for node in reversed(list(walk(spoken))):  # begin with the constants at the end of the program
         if isinstance(node, ir.Const):
             if type(node.value) is str:
                 texts[node.value] = None

@@ -13,7 +13,7 @@ from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.runtime.program.program import Fault
 from koordgen.verify.audit.history import FleetMission, RobotHistory
-from koordgen.verify.audit.result import AFTER, AuditViolation, Observation, Outcome, PropertyResult
+from koordgen.verify.audit.result import AFTER, AuditViolation, ObservationTime, Outcome, PropertyResult
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.replay.robot import OVERRAN
 
@@ -77,7 +77,9 @@ def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
                 told.append(("violated" if broken else "held", ""))
                 if broken and result.first is None:
                     read = (f"in {record.get('event') or 'init'}: {to_koord(invariants[line].formula)}",)
-                    result.first = AuditViolation(Observation(round_, False), AFTER, (history.name,), (), read, "", ())
+                    result.first = AuditViolation(
+                        ObservationTime(round_, False), AFTER, (history.name,), (), read, "", ()
+                    )
             result.close(round_, told, of_each=True)
     return list(found.values())
 
@@ -115,4 +117,4 @@ def _violation(history: RobotHistory, round_: int, record: Mapping[str, Any]) ->
     fault = record["fault"]
     why = Fault(fault.get("file", ""), fault.get("line", 0), fault["reason"])
     read = (f"{record.get('event') or 'a guard'} was discarded, {why}",)
-    return AuditViolation(Observation(round_, False), AFTER, (history.name,), (), read, "", ())
+    return AuditViolation(ObservationTime(round_, False), AFTER, (history.name,), (), read, "", ())

@@ -26,7 +26,7 @@ from koordgen.verify.audit.result import (
     BEGIN,
     END,
     AuditViolation,
-    Observation,
+    ObservationTime,
     Outcome,
     PropertyResult,
     ValueRow,
@@ -99,16 +99,16 @@ class PropertyJudge:
             for result in self.results:
                 result.miss(first, self._n if result.of == "assume" else 1)
         elif not self._mission.step:
-            self._fleet(Observation(0, False), BEGIN, "initially")
+            self._fleet(ObservationTime(0, False), BEGIN, "initially")
         for round_ in range(first, last + 1):
             progress(round_, last)
             self._before = dict(whole.values)
             whole.advance()
-            self._fleet(Observation(round_, False), AFTER, "invariant")
+            self._fleet(ObservationTime(round_, False), AFTER, "invariant")
             if round_ < last:
                 self._before = dict(whole.values)
                 whole.end()
-                self._fleet(Observation(round_, True), END, "invariant")
+                self._fleet(ObservationTime(round_, True), END, "invariant")
                 if round_:
                     self._steps(round_)
             self._close(round_)
@@ -123,7 +123,7 @@ class PropertyJudge:
         self,
         result: PropertyResult,
         came: _Evaluation,
-        observation: Observation,
+        observation: ObservationTime,
         violation: Callable[[], AuditViolation],
     ) -> None:
         missing = self._missing(came, observation) if came.outcome == "unknown" else ""
@@ -131,7 +131,7 @@ class PropertyJudge:
         if came.outcome in ("violated", "no value") and result.first is None:
             result.first = violation()
 
-    def _fleet(self, observation: Observation, where: str, kind: str) -> None:
+    def _fleet(self, observation: ObservationTime, where: str, kind: str) -> None:
         self._known.put(self._whole.values)
         for property_, result in self._properties:
             sensed = any(name in self._whole.sensors for name in property_.reads)
@@ -144,7 +144,7 @@ class PropertyJudge:
         """Evaluate the assumptions about the ports of each robot in a round.
 
         An assumption relates values at the start of the round to values at the end of the round."""
-        observation = Observation(round_, True)
+        observation = ObservationTime(round_, True)
         actuators = [p.name for p in self._found.program.ports if p.direction == "actuator"]
         for pid in range(self._n):
             if not self._assumptions:
@@ -167,7 +167,7 @@ class PropertyJudge:
         history = self._mission.histories[pid]
         return not (history.out_at(round_) or history.out_at(round_ + 1))
 
-    def _missing(self, came: _Evaluation, observation: Observation) -> str:
+    def _missing(self, came: _Evaluation, observation: ObservationTime) -> str:
         """Return a text that names the unknown value and explains why its robot's trace lacks the value.
 
         An assumption reads an unprimed sensor at the round's start and a primed sensor at the round's end."""
@@ -181,7 +181,7 @@ class PropertyJudge:
         return f"{name} of {history.name}: {history.silent(observation.round + later)}"
 
     def _violation(
-        self, property_: Property, came: _Evaluation, observation: Observation, where: str
+        self, property_: Property, came: _Evaluation, observation: ObservationTime, where: str
     ) -> AuditViolation:
         trail: Trail = []
         again = self._found.fleet(self._n, trail)
@@ -206,7 +206,7 @@ class PropertyJudge:
             if name not in slots:
                 yield ValueRow("", name, text(name, before.get(name, UNKNOWN)), text(name, after.get(name, UNKNOWN)))
 
-    def _broken(self, assumption: Assumption, came: _Evaluation, observation: Observation) -> AuditViolation:
+    def _broken(self, assumption: Assumption, came: _Evaluation, observation: ObservationTime) -> AuditViolation:
         trail: Trail = []
         again = self._found.step(self._n, trail)
         again.copy_from(self._step)

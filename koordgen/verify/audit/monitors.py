@@ -21,12 +21,12 @@ def compare_monitors(results: Sequence[PropertyResult], mission: FleetMission) -
     notes: list[str] = []
     for result in results:
         said = {history.pid: _reports(result, history) for history in mission.histories}
-        told = {pid: spans for pid, spans in said.items() if spans}
-        if result.spans and told:
+        records = {pid: spans for pid, spans in said.items() if spans}
+        if result.spans and records:
             notes += [
-                note for pid, spans in told.items() for note in _false_alarms(result, mission.histories[pid], spans)
+                note for pid, spans in records.items() for note in _false_alarms(result, mission.histories[pid], spans)
             ][:3]
-            notes += _missed_violation(result, told, mission)
+            notes += _missed_violation(result, records, mission)
     return notes
 
 
@@ -68,7 +68,7 @@ def _false_alarms(
 
 
 def _missed_violation(
-    result: PropertyResult, told: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: FleetMission
+    result: PropertyResult, records: Mapping[int, list[tuple[int, int, Mapping[str, Any]]]], mission: FleetMission
 ) -> Iterator[str]:
     """Yield a note about a violation that the audit finds but no monitor reported."""
     bad = next((span for span in result.spans if span.outcome in _BAD), None)
@@ -77,7 +77,7 @@ def _missed_violation(
     window = range(bad.since - 1, bad.until + SLACK + 1)
     here = [
         (pid, record)
-        for pid, spans in told.items()
+        for pid, spans in records.items()
         for since, until, record in spans
         if since <= window[-1] and until > window[0]
     ]

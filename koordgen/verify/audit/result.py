@@ -13,7 +13,7 @@ WORST: tuple[Outcome, ...] = ("violated", "no value", "unknown", "held")
 BEGIN, AFTER, END = "before init", "after its events", "at its end"
 
 
-class Observation(NamedTuple):
+class ObservationTime(NamedTuple):
     """Time of an observation. Observations are ordered by time.
 
     `round`: number of the round; 0 for `init`.
@@ -51,7 +51,7 @@ class AuditViolation:
     `why`: the reason why the property had no value; empty if the property was false.
     `rows`: values of the variables that the property reads."""
 
-    observation: Observation
+    observation: ObservationTime
     where: str
     robots: tuple[str, ...]
     bound: tuple[str, ...]

@@ -150,7 +150,7 @@ def test_finished_runs_are_not_repeated_and_half_a_line_is_no_run() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--vary", "seed=1:2"], "holds a campaign already"),
+        (["--vary", "seed=1:2"], "already contains a campaign"),
         (["--vary", "seed=1:3", "--resume"], "other things are varied: seed=1:3"[:26]),
         (["--vary", "seed=1:2", "--resume", "--duration", "3"], "the runs' options are others: none, not --duration=3"),
         (["--vary", "seed=1:2", "--resume", "--runs", "1"], "another number of runs: 2, not 1"),
@@ -174,9 +174,9 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
     Path("out").mkdir()
     Path("out/thesis.tex").write_text("x")
     assert campaign("--vary", "seed=1:2") == 5
-    assert "not of a campaign" in capsys.readouterr().err and os.listdir("out") == ["thesis.tex"]
+    assert "contains files, but no campaign" in capsys.readouterr().err and os.listdir("out") == ["thesis.tex"]
     assert cli.main(["campaign", "a", "--fleet", "f", "--out", "no", "--resume"]) == 5
-    assert "no: there is no campaign to go on with" in capsys.readouterr().err and not Path("no").exists()
+    assert "no: there is no campaign to resume" in capsys.readouterr().err and not Path("no").exists()
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,8 @@ def test_folders_of_others_are_left_alone(capsys: pytest.CaptureFixture[str]) ->
         (["--vary", "seed"], "--runs"), (["--vary", "loss"], "neither"), (["--vary", "height=0,1"], "unrecognized"),
         (["--vary", "seed=1:2", "--runs", "5"], "too few seeds"), (["--vary", "loss=0,many"], "invalid float"),
         (["--vary", "loss=0,many,0.1"], "invalid float"), (["--vary", "boot=1,soon"], "boot=soon: it must be a float"),
-        (["--vary", "position_noise=-1,1"], "position_noise=-1: it must be 0 to 1"), (["--vary", "out=a,b"], "its own"),
+        (["--vary", "position_noise=-1,1"], "position_noise=-1: it must be 0 to 1"),
+        (["--vary", "out=a,b"], "cannot be varied"),
     ],
 )  # fmt: skip
 def test_wrong_calls_are_told_before_anything_runs(
@@ -211,7 +212,7 @@ def test_progress_is_for_terminals(capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     assert campaign("--vary", "loss=0,0.3") == 3
     err = capsys.readouterr().err
-    assert "2 of 2 runs, 1 violated, 0:00 to go" in err and err.endswith("\n")
+    assert "2 of 2 runs, 1 violated, 0:00 remaining" in err and err.endswith("\n")
     assert campaign("--vary", "loss=0,0.3", "--resume", "--quiet") == 3
     assert capsys.readouterr().err == ""
 
@@ -220,7 +221,9 @@ def test_a_full_disk_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     with fake.full_disk(finished=1):
         assert campaign("--vary", "seed=1:4") == 5
     err = capsys.readouterr().err
-    assert "the disk is full; 1 of 4 runs are finished; --resume goes on from there" in err and "make room" in err
+    assert (
+        "the disk is full; 1 of 4 runs are finished; --resume executes the others" in err and "free disk space" in err
+    )
     assert campaign("--vary", "seed=1:4", "--resume") == 0
     assert sorted(r["run"] for r in results()) == [0, 1, 2, 3]
 
@@ -258,7 +261,7 @@ def test_interrupted_it_can_be_resumed(number: signal.Signals, capsys: pytest.Ca
     thread.join()
     assert time.monotonic() - started < 15
     told = capsys.readouterr()
-    assert "3 of 5 runs are finished; --resume goes on from there" in told.err and "2 not yet run" in told.out
+    assert "3 of 5 runs are finished; --resume executes the others" in told.err and "2 not yet run" in told.out
     assert json.loads(Path("out/campaign.json").read_text())["held"] == 3
     Path("again").touch()
     first = began()

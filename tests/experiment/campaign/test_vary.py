@@ -24,8 +24,9 @@ def test_what_is_varied_is_read() -> None:
     ("text", "said"),
     [
         ("", "neither"), ("loss", "neither"), ("loss=", "neither"), ("=3", "neither"), ("seed,0.1", "neither"),
-        ("loss=0.3:0", "smaller to a greater"), ("loss=0:many", "'many' is no number"), ("loss=0:inf", "'inf'"),
-        ("seed=1:x", "whole number"), ("seed=9:1", "ends before"), ("seed=1.5", "whole number"),
+        ("loss=0.3:0", "must be less than the second"), ("loss=0:many", "'many' is not a finite number"),
+        ("loss=0:inf", "'inf'"),
+        ("seed=1:x", "whole number"), ("seed=9:1", "less than the first seed"), ("seed=1.5", "whole number"),
         ("seed,seed=3", "seed is varied twice"), ("loss=0,,1", "neither"),
     ],
 )  # fmt: skip

@@ -66,7 +66,10 @@ def test_validated(capsys: pytest.CaptureFixture[str]) -> None:
     assert "quad full  VALIDATED     4         0" in told.out and told.err == ""
     assert "app.koord on fleet.yaml: 4 of 4 runs of 7 s, seeds 1 to 4" in told.out
     assert "within 0.3 m (and rad) of the fleet file's" in told.out
-    assert "VALIDATED: with confidence 0.8 a run from these starts violates with a probability below 0.5" in told.out
+    assert (
+        "VALIDATED: with confidence 0.8, a run from these starts violates an assumption with a probability below 0.5"
+        in told.out
+    )
     assert Path("out/windows.png").exists() and Path("out/validation.txt").exists()
     assert Path("out/runs/0002/began").read_text() == (
         "koordgen sim app.koord --fleet=fleet.yaml --duration=7 --lockstep --seed=3 --out=out/runs/0002"
@@ -80,16 +83,19 @@ def test_validated(capsys: pytest.CaptureFixture[str]) -> None:
 def test_more_samples_go_on_with_those_that_are_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert validate("--samples", "2") == 4
     out = capsys.readouterr().out
-    assert "quad full: 58 more samples wanted" in out and "INCONCLUSIVE: to say that with confidence 0.95" in out
+    assert "quad full: 58 more samples wanted" in out and "are needed to show with confidence 0.95" in out
     first = Path("out/runs/0001/began").stat().st_mtime_ns
     assert validate("--samples", "5") == 4
     assert "55 more samples wanted" in capsys.readouterr().out
     assert len(runs()) == 5 and Path("out/runs/0001/began").stat().st_mtime_ns == first
     assert validate("--samples", "2", "--seed", "9") == 5
-    assert "out: holds another validation: other things are varied: seed=1:, not seed=9:" in capsys.readouterr().err
+    assert (
+        "out: contains a validation with another plan: other things are varied: seed=1:, not seed=9:"
+        in capsys.readouterr().err
+    )
     plan = CampaignPlan("app", "", "", (), (), 3)
     with (
-        pytest.raises(store.FolderUnusable, match="out: holds a validation, not a campaign"),
+        pytest.raises(store.FolderUnusable, match="out: contains a validation, not a campaign"),
         store.claimed(OUT, plan, True),
     ):
         pass
@@ -111,7 +117,7 @@ def test_violated(capsys: pytest.CaptureFixture[str]) -> None:
     assert validate("--seed", "100", "--samples", "4") == 3
     out = capsys.readouterr().out
     assert "car full: across, 2 windows, at most 0.040 m outside the box in one, 0.040 m in a row" in out
-    assert "The prover closes every invariant with: assume position' in Rect" in out
+    assert "The prover proves all invariants with: assume position' in Rect" in out
 
 
 def test_a_run_that_fails_leaves_it_inconclusive(capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,14 +127,18 @@ def test_a_run_that_fails_leaves_it_inconclusive(capsys: pytest.CaptureFixture[s
     capsys.readouterr()
     assert cli.main(["validate", "app.koord", "--fleet", "f", "--out", "o", "--seed", "950", "--samples", "1"]) == 4
     out = capsys.readouterr().out
-    assert "runs that did not come to an end: status 5: error: no world" in out and "INCONCLUSIVE" in out
+    assert "some runs did not finish; the first reason: status 5: error: no world" in out and "INCONCLUSIVE" in out
 
 
 def test_a_program_that_assumes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     Path("app.koord").write_text(PROGRAM.replace("  assume position' in Rect(position, target)\n", ""))
     assert validate() == 4
     err = capsys.readouterr().err
-    assert "app.koord assumes nothing of its ports" in err and "`assume position'" in err and not Path("out").exists()
+    assert (
+        "app.koord has no assumptions about its ports" in err
+        and "`assume position'" in err
+        and not Path("out").exists()
+    )
 
 
 @pytest.mark.parametrize(
@@ -167,7 +177,7 @@ def test_a_full_disk_is_told_and_one_goes_on(capsys: pytest.CaptureFixture[str])
     with full_disk(finished=1):
         assert validate("--samples", "3") == 5
     err = capsys.readouterr().err
-    assert "the disk is full; 1 of 3 runs are finished; the same command goes on from there" in err
+    assert "the disk is full; 1 of 3 runs are finished; the same command executes the others" in err
     assert validate("--samples", "3") == 4 and len(runs()) == 3
 
 
@@ -187,7 +197,7 @@ def test_interrupted_it_keeps_what_was_finished(capsys: pytest.CaptureFixture[st
     assert validate("--seed", "898", "--samples", "3") == 130
     thread.join()
     told = capsys.readouterr()
-    assert "2 of 3 runs are finished; the same command goes on from there" in told.err
+    assert "2 of 3 runs are finished; the same command executes the others" in told.err
     assert "VIOLATED" in told.out, "899 is"
     Path("again").touch()
     assert validate("--seed", "898", "--samples", "3") == 3 and len(finished()) == 3

@@ -107,9 +107,9 @@ def samples(platform: probe.ProbedPlatform, overshoot: float, offset: probe.Vect
     places = np.zeros((90, 3))
     places[:, :2] = random.uniform(-0.1, 0.1, (90, 2))
     share = 1 - np.exp(-2 * times) + overshoot * np.exp(-((times - 2.0) ** 2) * 8)
-    ways = places[:, None] + (np.array(offset) - places)[:, None] * share[None, :, None]
+    paths = places[:, None] + (np.array(offset) - places)[:, None] * share[None, :, None]
     starts = np.hstack([places, np.zeros((90, 4))])
-    return Samples(asked, times, ways, starts)
+    return Samples(asked, times, paths, starts)
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_the_one_that_overshoots_has_the_larger_reachset(reached: list[tube.Reac
 
 
 def test_other_offsets_are_not_compared(reached: list[tube.Reachset]) -> None:
-    with pytest.raises(ValueError, match="not the same offset"):
+    with pytest.raises(ValueError, match="the offsets differ"):
         tube.compare(reached[0], replace(reached[1], offset=(2.0, 0.0, 0.0)))
 
 
@@ -169,7 +169,7 @@ def test_files_and_a_picture_are_written(reached: list[tube.Reachset], tmp_path:
 
 def test_simple_robots_are_probed(platforms: dict[str, probe.ProbedPlatform], tmp_path: Path) -> None:
     asked = Probe(platforms["quad simple"], (0.5, 0.5, 0.0), 3, 3.0, Start(after=(1.0, 1.5)), robots=3)
-    (found,) = probe.take_samples([asked], LocalPool(1), tmp_path / "out")
+    (found,) = probe.collect_samples([asked], LocalPool(1), tmp_path / "out")
     assert found.positions.shape == (3, 721, 3) and found.times[-1] == 3.0
     # As the robot sensed it, with a centimetre of noise and what it moves in a twentieth of a second.
     assert (np.linalg.norm(found.starts[:, :2], axis=1) < 0.1 + 0.1).all()
@@ -203,8 +203,8 @@ def test_the_quads_reachset_is_the_larger_one_because_it_overshoots(tmp_path: Pa
 
 def test_a_run_that_fails_is_told(platforms: dict[str, probe.ProbedPlatform], tmp_path: Path) -> None:
     own = replace(platforms["quad simple"], common={**platforms["quad simple"].common, "sim": {"start_timeout": 1.0}})
-    with pytest.raises(BadProbe, match="did not run"):
-        probe.take_samples([Probe(own, (1.0, 0.0, 0.0), 1, 1.0, robots=1)], LocalPool(1), tmp_path / "out")
+    with pytest.raises(BadProbe, match="of a probe failed"):
+        probe.collect_samples([Probe(own, (1.0, 0.0, 0.0), 1, 1.0, robots=1)], LocalPool(1), tmp_path / "out")
 
 
 def test_a_probes_fleet_is_yaml(platforms: dict[str, probe.ProbedPlatform]) -> None:

@@ -33,8 +33,8 @@ def steered(random: np.random.Generator, count: int) -> Ways:
     return (1 + np.exp(-0.5 * TIMES) * (a * np.cos(w * TIMES) + b * np.sin(w * TIMES)))[..., None], starts
 
 
-def learned_of(ways: Array, starts: Array, each: int) -> tube.Tube:
-    return tube.tube(TIMES, ways, starts, each, 0.05, np.eye(ways.shape[2]))
+def learned_of(paths: Array, starts: Array, each: int) -> tube.Tube:
+    return tube.tube(TIMES, paths, starts, each, 0.05, np.eye(paths.shape[2]))
 
 
 def found(of: Callable[[np.random.Generator, int], Ways], seed: int = 1) -> tube.Tube:
@@ -45,12 +45,12 @@ def found(of: Callable[[np.random.Generator, int], Ways], seed: int = 1) -> tube
 @pytest.mark.parametrize("of", [lagging, steered])
 def test_fresh_ways_stay_in_the_tube_and_it_is_tight(of: Callable[[np.random.Generator, int], Ways]) -> None:
     learned = found(of)
-    ways, _ = of(np.random.default_rng(99), 5000)
+    paths, _ = of(np.random.default_rng(99), 5000)
     box = np.minimum(np.searchsorted(learned.edges, TIMES, side="right") - 1, len(learned.lower) - 1)
-    inside = ((learned.lower[box] <= ways) & (ways <= learned.upper[box])).all(axis=(1, 2))
+    inside = ((learned.lower[box] <= paths) & (paths <= learned.upper[box])).all(axis=(1, 2))
     assert inside.mean() >= 1 - EPSILON
     assert learned.covered >= 1 - EPSILON and learned.pairs_covered >= 1 - EPSILON
-    true = ways.max(axis=0) - ways.min(axis=0)
+    true = paths.max(axis=0) - paths.min(axis=0)
     assert float((learned.upper[box] - learned.lower[box]).mean()) < 1.25 * float(true.mean())
 
 
@@ -94,25 +94,25 @@ def test_of_many_tubes_few_break_the_promise() -> None:
 
 def test_a_way_that_left_is_told() -> None:
     each = needed(EPSILON, GAMMA)
-    ways, starts = lagging(np.random.default_rng(1), 3 * each)
-    plain = learned_of(ways, starts, each)
-    ways[-3:, 100:150] += 1.0
-    learned = learned_of(ways, starts, each)
+    paths, starts = lagging(np.random.default_rng(1), 3 * each)
+    plain = learned_of(paths, starts, each)
+    paths[-3:, 100:150] += 1.0
+    learned = learned_of(paths, starts, each)
     assert plain.covered - 3 / each - 1e-9 <= learned.covered <= 1 - 3 / each + 1e-9
     assert learned.pairs_covered == pytest.approx(1 - 3 / each)
 
 
 def test_a_way_that_left_among_those_of_calibration_makes_the_tube_larger() -> None:
     each = needed(EPSILON, GAMMA)
-    ways, starts = lagging(np.random.default_rng(1), 3 * each)
-    plain = learned_of(ways, starts, each)
-    ways[each + 3, 100] += 0.3
-    wider = learned_of(ways, starts, each)
+    paths, starts = lagging(np.random.default_rng(1), 3 * each)
+    plain = learned_of(paths, starts, each)
+    paths[each + 3, 100] += 0.3
+    wider = learned_of(paths, starts, each)
     assert wider.inflated > 2 * plain.inflated
     at = int(np.searchsorted(wider.edges, TIMES[100])) - 1
-    assert (wider.upper[at] >= ways[each + 3, 100]).all()
+    assert (wider.upper[at] >= paths[each + 3, 100]).all()
 
 
 def test_too_few_samples_are_refused() -> None:
-    with pytest.raises(ValueError, match="there must be more"):
+    with pytest.raises(ValueError, match="are too few"):
         learned_of(*lagging(np.random.default_rng(1), 20), 10)

@@ -46,12 +46,12 @@ def test_another_version_of_the_program(tmp_path: Path) -> None:
     assert follow(app, fleet(tmp_path, 2), trace).status == 3  # it means the same
     app.write_text(LOST.replace("added += 1", "added += 2"))
     said = refused(tmp_path, trace)
-    assert f"is of a program with the hash {its}; " in said and "search for the counterexample again" in said
+    assert f"is the trace of a program with the hash {its}; " in said and "search for the counterexample again" in said
 
 
 def test_another_number_of_robots(tmp_path: Path) -> None:
     said = refused(tmp_path, found(tmp_path, LOST, 2), 3)
-    assert "is of 2 robots, " in said and "fleet.yaml has 3" in said and "--robots 3" in said
+    assert "is the trace of 2 robots, but " in said and "fleet.yaml has 3" in said and "--robots 3" in said
 
 
 def test_params_come_from_the_trace_unless_the_fleet_has_others(tmp_path: Path) -> None:
@@ -61,8 +61,10 @@ def test_params_come_from_the_trace_unless_the_fleet_has_others(tmp_path: Path) 
     assert follow(app, fleet(tmp_path, 2), trace).status == 3
     assert follow(app, fleet(tmp_path, 2, "params: {most: 3, away: [1, 2, 3]}\n"), trace, out="again").status == 3
     done = follow(app, fleet(tmp_path, 2, "params: {most: 1}\n"), trace)
-    assert done.status == 1 and "param most is 3 in the trace, but 1 here" in done.said and "--fleet" in done.said
-    assert "param most is 3 in the trace, but 4 here" in refused(tmp_path, trace, more=("--param", "most=4"))
+    assert (
+        done.status == 1 and "param most is 3 in the trace, but 1 in this run" in done.said and "--fleet" in done.said
+    )
+    assert "param most is 3 in the trace, but 4 in this run" in refused(tmp_path, trace, more=("--param", "most=4"))
 
 
 def test_numbers_that_robots_do_not_have(tmp_path: Path) -> None:

@@ -120,7 +120,7 @@ def test_a_trace_of_the_present_format_is_copied_and_told(old: Path, capsys: pyt
     capsys.readouterr()
     assert main(["export", str(old / "a"), "--to", FORMAT, "-o", str(old / "b")]) == 0
     told = capsys.readouterr()
-    assert told.err == f"note: {old / 'a'} is of format koord-trace/2 already; this is a copy\n"
+    assert told.err == f"note: {old / 'a'} already has the format koord-trace/2; the new file is a copy\n"
     assert told.out == f"{old / 'b'}\n" and (old / "a").read_bytes() == (old / "b").read_bytes()
     assert main(["export", str(old / "b"), "--to", FORMAT, "-o", str(old / "b")]) == 0, "onto itself"
     assert (old / "a").read_bytes() == (old / "b").read_bytes()

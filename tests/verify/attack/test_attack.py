@@ -236,7 +236,7 @@ invariant Q: forall i in ID: a[i] == 0
 """
     assert attacked(text, solver=solver).of("Go", "Q") == (
         0,
-        "no state satisfies the invariants and its guard, in a fleet of 1",
+        "no state satisfies the invariants and the guard, in a fleet of 1",
     )
     assert attacked(text, seconds=1.0).of("Go", "Q") == (0, "no state was found from which the step can be run")
 
@@ -261,7 +261,7 @@ invariant Q: forall i in ID: a[i] == 0
 """
     found = attacked(text)
     assert found.contradiction is None
-    assert found.of("Go", "Q") == (0, "each run of it was given up: it takes more than 2,000 turns")
+    assert found.of("Go", "Q") == (0, "each run of the event was abandoned after 2,000 turns of loops")
     assert found.of("Other", "Q")[0] > 0
 
 

@@ -153,7 +153,7 @@ def test_a_file_of_another_program_is_refused(folder: Path, forged: None, capsys
     name = contradicted(folder, capsys)
     assert main(["prove", written(RIGHT), "--attack-from", name]) == 1
     said = capsys.readouterr().err
-    assert "the file was written for another program" in said and "help: name exactly the program" in said
+    assert "the file was written for another program" in said and "help: give the program for which" in said
 
 
 def test_a_trial_that_contradicts_nothing_says_so(
@@ -172,7 +172,7 @@ def test_a_trial_that_contradicts_nothing_says_so(
     [
         ({"state": None}, 1, "the state is not an object"),
         ({"steps": [{"event": "Go", "robot": 0, "answers": []}] * 2}, 1, "shows nothing: "),
-        ({"proved": ["R"]}, 1, "is none of the possible names"),
+        ({"proved": ["R"]}, 1, "is none of the allowed names"),
     ],
 )
 def test_a_file_that_is_wrong_is_told_so(

@@ -101,35 +101,38 @@ CHANGES: dict[str, tuple[Callable[[Any], object], str]] = {
     "another program": (lambda d: d.update(program="f" * 16), "another program"),
     "no program": (lambda d: d.pop("program"), "the file lacks"),
     "an unknown key": (lambda d: d.update(run="rm"), "the file has an unknown"),
-    "an unknown invariant": (lambda d: d.update(proved=["R"]), "is none of the possible names"),
-    "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "none of the possible names"),
-    "nothing proved": (lambda d: d.update(proved=[]), "proved is no list"),
-    "no robots": (lambda d: d["state"].update(robots=[]), "robots is no list of 1 to 4"),
-    "too many robots": (lambda d: d["state"].update(robots=5 * d["state"]["robots"]), "robots is no list of 1 to 4"),
-    "slots of fewer robots": (lambda d: d["state"]["slots"].update(xs=[]), "xs is no list of 2 to 2"),
+    "an unknown invariant": (lambda d: d.update(proved=["R"]), "is none of the allowed names"),
+    "an invariant that was not proved": (lambda d: d.update(proved=["(well-defined)"]), "none of the allowed names"),
+    "nothing proved": (lambda d: d.update(proved=[]), "proved is not a list"),
+    "no robots": (lambda d: d["state"].update(robots=[]), "robots is not a list of 1 to 4"),
+    "too many robots": (lambda d: d["state"].update(robots=5 * d["state"]["robots"]), "robots is not a list of 1 to 4"),
+    "slots of fewer robots": (lambda d: d["state"]["slots"].update(xs=[]), "xs is not a list of 2 to 2"),
     "a local of another program": (lambda d: d["state"]["robots"][0]["locals"].update(y=1), "unknown"),
     "a local that lacks": (lambda d: d["state"]["robots"][0]["locals"].pop("n"), "lacks"),
-    "a bool for an int": (lambda d: d["state"]["robots"][0]["locals"].update(n=True), "n: true is no int"),
+    "a bool for an int": (lambda d: d["state"]["robots"][0]["locals"].update(n=True), "n: true is not of type int"),
     "an int for a bool": (lambda d: d["state"]["robots"][0].update(stopped=0), "neither true nor false"),
-    "a float": (lambda d: d["state"]["robots"][0]["locals"].update(third=0.5), "third: 0.5 is no float"),
-    "a quotient by zero": (lambda d: d["state"]["robots"][0]["locals"].update(third="1/0"), "is no float"),
-    "a power of ten": (lambda d: d["state"]["robots"][0]["locals"].update(third="1e999999"), "is no float"),
+    "a float": (lambda d: d["state"]["robots"][0]["locals"].update(third=0.5), "third: 0.5 is not of type float"),
+    "a quotient by zero": (lambda d: d["state"]["robots"][0]["locals"].update(third="1/0"), "is not of type float"),
+    "a power of ten": (lambda d: d["state"]["robots"][0]["locals"].update(third="1e999999"), "is not of type float"),
     "the root of a negative number": (lambda d: d["state"]["robots"][0]["locals"].update(third="sqrt(-1)"), "is no"),
-    "a long number": (lambda d: d["state"]["robots"][0]["locals"].update(third="9" * 5000), "is no float"),
-    "a long int": (lambda d: d["state"]["robots"][0]["locals"].update(n=10**1001), "is no int"),
-    "a set out of order": (lambda d: d["state"]["robots"][0]["locals"].update(z=[3, 1]), "z: [3, 1] is no Set"),
-    "a map with a key twice": (lambda d: d["state"]["cells"].update(m=[[0, "1"], [0, "2"]]), "is no Map"),
+    "a long number": (lambda d: d["state"]["robots"][0]["locals"].update(third="9" * 5000), "is not of type float"),
+    "a long int": (lambda d: d["state"]["robots"][0]["locals"].update(n=10**1001), "is not of type int"),
+    "a set out of order": (lambda d: d["state"]["robots"][0]["locals"].update(z=[3, 1]), "is not of type Set"),
+    "a map with a key twice": (lambda d: d["state"]["cells"].update(m=[[0, "1"], [0, "2"]]), "is not of type Map"),
     "a text that is not Unicode": (lambda d: d["state"]["slots"].update(xs=[[[["0"] * 3, "\ud800"]], []]), "is no"),
-    "a point of two": (lambda d: d["state"]["robots"][0]["ports"].update({"Motion.target": ["0", "0"]}), "is no Point"),
-    "a map of cells that is none": (
-        lambda d: d["state"]["robots"][0]["locals"].update(map=["1", 0, 0, 9, 9, "AA=="]), "is no GridMap",
+    "a point of two": (
+        lambda d: d["state"]["robots"][0]["ports"].update({"Motion.target": ["0", "0"]}), "is not of type Point",
     ),
-    "no steps": (lambda d: d.update(steps=[]), "steps is no list of 1 to 64"),
+    "a map of cells that is none": (
+        lambda d: d["state"]["robots"][0]["locals"].update(map=["1", 0, 0, 9, 9, "AA=="]),
+        "is not of type GridMap",
+    ),
+    "no steps": (lambda d: d.update(steps=[]), "steps is not a list of 1 to 64"),
     "an unknown event": (lambda d: d["steps"][-1].update(event="Fly"), "a step's event"),
-    "a robot that is not there": (lambda d: d["steps"][-1].update(robot=2), "is no number from 0 to 1"),
+    "a robot that is not there": (lambda d: d["steps"][-1].update(robot=2), "is not a whole number from 0 to 1"),
     "answers of nobody": (lambda d: d["steps"][-1]["answers"][0].update(port="Motion.target"), "an answer's port"),
     "steps that are none": (lambda d: d.update(steps=["init"]), "a step's event"),
-    "another round": (lambda d: d["state"].update(round=-1), "round: -1 is no number"),
+    "another round": (lambda d: d["state"].update(round=-1), "round: -1 is not a whole number"),
 }  # fmt: skip
 
 
@@ -145,13 +148,13 @@ def test_what_is_wrong_in_a_file_is_said_with_a_way_out(name: str) -> None:
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"", "not JSON, or was cut short"),
+        (b"", "not valid JSON"),
         (b"[]", "the file is not an object"),
-        (b"\xff\xfe", "not JSON"),
+        (b"\xff\xfe", "not valid JSON"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"a": NaN}', "NaN is not a number"),
-        (b'{"a": 1, "a": 1}', "a name occurs twice"),
-        (b'{"a": ' + b"9" * 5000 + b"}", "not JSON"),
+        (b'{"a": 1, "a": 1}', "a key occurs twice"),
+        (b'{"a": ' + b"9" * 5000 + b"}", "not valid JSON"),
         (b" " * (MOST_BYTES + 1), "the limit is"),
     ],
 )
@@ -191,5 +194,5 @@ def test_an_answer_that_the_assumptions_do_not_allow_shows_nothing() -> None:
     program = exact(checked(text))
     assert any(act.answers and act.answers[0].asked.answer for act in FOUND.trial.acts), "it answered with a way"
     given = read_trial(TEXT.encode(), program, HASH)
-    with pytest.raises(UnusableStep, match=r"allow no known answer of Motion\.planner"):
+    with pytest.raises(UnusableStep, match=r"allow none of the known results of Motion\.planner"):
         TrialJudge(program, given.proved, lambda *_: ()).replay(given.trial)

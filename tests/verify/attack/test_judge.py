@@ -182,9 +182,9 @@ def test_a_trial_is_run_step_by_step() -> None:
         (launched(-1), [Act(INIT)], "violates a formula of `initially`"),
         (launched(), [Act("Up", 0)], "`init` must be the first step"),
         (begun(1), [Act(INIT)], "`init` must be the first step"),
-        (begun(1), [Act("Down", 0)], "robot 0 may not run Down at its step"),
+        (begun(1), [Act("Down", 0)], "robot 0 may not run event Down at this step"),
         (begun(1), [Act("Up", 0), Act("Up", 0)], "two events in one round"),
-        (begun(3), [Act("Down", 0), moved(1)], "goes on after a step"),
+        (begun(3), [Act("Down", 0), moved(1)], "has further steps after a step"),
     ],
 )
 def test_a_trial_that_no_verdict_speaks_of_is_refused(state: State, acts: list[Act], said: str) -> None:
