@@ -18,7 +18,7 @@ _MODULES: dict[str, tuple[str, ...]] = {
         "Cell", "Event", "Frame", "Port", "Program", "Slots", "Stopped", "Transaction", "Variable", "behind", "claim",
     ),
     "koordgen.runtime.program.property": (
-        "Asking", "Assumption", "Each", "Known", "One", "Properties", "Property", "Trail", "Unchecked",
+        "Assumption", "Each", "GoalCall", "Known", "One", "Properties", "Property", "Trail", "Unchecked",
     ),
     "koordgen.runtime.values.bounds": ("Blob", "Cells", "Distinct", "Fixed", "Many", "Pairs", "Parts", "Rays", "Text"),
     "koordgen.runtime.values.containers": (

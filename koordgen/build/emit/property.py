@@ -172,7 +172,7 @@ def _asking(call: e.PortCall, goals: dict[int, e.TempRead], names: Names) -> str
     places = ", ".join([f"{place}: {expr.literal(names.temp(goal.name))}" for place, goal in goals.items()])
     port = expr.literal(f"{call.module}.{call.port}")
     return brackets(
-        f"{names.use('Asking')}(", [f"port={port}", f"arguments={len(call.args)}", f"goals={{{places}}}"], ")"
+        f"{names.use('GoalCall')}(", [f"port={port}", f"arguments={len(call.args)}", f"goals={{{places}}}"], ")"
     )
 
 

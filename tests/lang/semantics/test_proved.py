@@ -13,6 +13,7 @@ import pytest
 from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl, expr
 from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.types import Sequence
 from koordgen.lang.semantics import exec
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import NoMeaning, Writes
@@ -83,7 +84,23 @@ def random_state(rng: Random, program: decl.Program, n_sys: int) -> State:
         v.name: tuple([random_value(rng, v.type) for _ in range(n_sys)]) for v in program.shared if v.kind == "allread"
     }
     cells = {v.name: random_value(rng, v.type) for v in program.shared if v.kind == "allwrite"}
-    return State(params, robots, Store(slots, cells), 1)
+    return with_members(rng, program, State(params, robots, Store(slots, cells), 1))
+
+
+def with_members(rng: Random, program: decl.Program, state: State) -> State:
+    """The state with members of each imported application: slots for all of them, and a pid of each robot."""
+    types = {v.name: v.type for v in program.shared}
+    for imported in program.imports:
+        size = rng.randrange(1, 5)
+        cells = dict(state.store.cells)
+        for name in imported.slots:
+            type_ = types[name]
+            assert isinstance(type_, Sequence)
+            cells[name] = tuple([random_value(rng, type_.element) for _ in range(size)])
+        robots = [r._replace(locals={**r.locals, imported.pid: rng.randrange(-1, size)}) for r in state.robots]
+        store = state.store._replace(cells=cells)
+        state = state._replace(params={**state.params, imported.size: size}, robots=tuple(robots), store=store)
+    return state
 
 
 @pytest.fixture(autouse=True)
@@ -117,7 +134,8 @@ def test_no_state_defeats_what_was_proved(name: str, program: decl.Program) -> N
 def test_a_mission_from_the_beginning(name: str, program: decl.Program) -> None:
     outside_ = world(program)
     for n_sys in (1, 2, 5):
-        state, _ = run_init(program, initial(program, n_sys), outside_)
+        begun = with_members(Random(name), program, initial(program, n_sys))
+        state, _ = run_init(program, begun, outside_)
         for _ in range(8):
             state, _ = round_(program, state, world=outside_)
 

@@ -178,7 +178,7 @@ def test_a_landing_quad_whose_simulator_has_ended_is_not_waited_for(quad: Rig) -
     quad.run(30.0)
     quad.platform.stop(quad.world.time)
     quad.run(8.0)
-    with pytest.raises(Unready, match="simulated body"):
+    with pytest.raises(Unready, match="the simulator has sent no vehicle state"):
         quad.run(4.0)
 
 

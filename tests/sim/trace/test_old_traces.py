@@ -60,7 +60,7 @@ def test_old_records_name_the_application(old: Path) -> None:
     header, records = read(old / "run/trace.jsonl")
     assert (header.format, header.app, header.applications) == (FORMAT, "lineform", ("lineform",))
     named = {type(each).__name__: getattr(each, "application", None) for each in records}
-    assert (named["Round"], named["Init"], named["Pose"]) == ("lineform", "lineform", None)
+    assert (named["Round"], named["InitRecord"], named["PoseRecord"]) == ("lineform", "lineform", None)
 
 
 def test_replay_and_audit_take_old_and_renewed_traces(old: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -232,7 +232,7 @@ def test_what_is_not_known_here_is_kept_by_merging_and_passed_over_by_reading(tm
         ("metrics", 1.0, 0), ("stream", 2.0, 0), ("of tomorrow", 3.0, 0),
     ]  # fmt: skip
     assert written[2]["more"] == [1]
-    assert [type(record).__name__ for record in trace.read(path)[1]] == ["Metrics", "Stream", "End"]
+    assert [type(record).__name__ for record in trace.read(path)[1]] == ["MetricsRecord", "StreamLine", "End"]
 
 
 def test_merged_records_are_in_order_although_a_round_is_told_only_when_it_is_certain(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from koordgen.runtime.program.property import (
-    Asking, Assumption, Each, Known, One, Properties, Property, Trail, Unchecked
+    Assumption, Each, GoalCall, Known, One, Properties, Property, Trail, Unchecked
 )
 from koordgen.runtime.values.containers import last
 from koordgen.runtime.values.gridmap import GridMap
@@ -210,7 +210,7 @@ PROPERTIES = Properties(
             line=52,
             holds=assume_motion_2,
             reads=(),
-            goals=(Asking(port="Motion.planner", arguments=1, goals={0: "my_goal"}),),
+            goals=(GoalCall(port="Motion.planner", arguments=1, goals={0: "my_goal"}),),
         ),
     ),
     unchecked=(

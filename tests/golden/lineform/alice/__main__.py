@@ -18,8 +18,8 @@ if __name__ == "__main__":
         from program import PROGRAM
         from targets.quad.platform.platform import Quad as Body
     except ImportError as missing:
-        from koordgen.runtime.ops.checks import tell_unloadable
+        from koordgen.runtime.ops.checks import report_unloadable
 
-        raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None
+        raise SystemExit(report_unloadable(HERE, sys.argv[1:], missing)) from None
     drivers = {}
     raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers))

@@ -33,7 +33,7 @@ def root(context, missing=missing):
         yield str(environment.getattr(l_1_loop, 'index'))
         yield '\n'
     l_1_loop = l_1__ = l_1_driver = l_1_class = missing
-    yield '    except ImportError as missing:\n        from koordgen.runtime.ops.checks import tell_unloadable\n\n        raise SystemExit(tell_unloadable(HERE, sys.argv[1:], missing)) from None\n    drivers = {'
+    yield '    except ImportError as missing:\n        from koordgen.runtime.ops.checks import report_unloadable\n\n        raise SystemExit(report_unloadable(HERE, sys.argv[1:], missing)) from None\n    drivers = {'
     l_1_loop = missing
     for (l_1_served, l_1__, l_1__), l_1_loop in LoopContext((undefined(name='drivers') if l_0_drivers is missing else l_0_drivers), undefined):
         _loop_vars = {}
