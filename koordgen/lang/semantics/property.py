@@ -57,7 +57,7 @@ def holds_assumption(
 def _goals(
     patterns: list[tuple[PortCall, dict[int, TempRead]]], asked: Sequence[Asked], known: dict[str, Value]
 ) -> Iterator[dict[str, Value]]:
-    """Yield values of an assumption's goals: each choice for which the robot made all calls in the formula.
+    """Yield each assignment of an assumption's goals for which the robot made all calls in the formula.
 
     A goal is an unbound name that the formula passes to a callable port. `patterns` lists the calls with goals. Without
     patterns, yields `known`: the values that are already chosen.

@@ -187,7 +187,7 @@ def _status(settings: Settings, key: bytes | None, form: str) -> int:
     report = ask(settings, key)
     if report is None:
         place = f"{settings.bind or settings.peers[settings.pid].host}:{settings.control_port}"
-        hint = "is its agent running on this computer, with the same key and application_id?"
+        hint = "check that the robot's agent runs on this computer, with the same key and application_id"
         return _fail(f"robot {settings.robot} does not answer at {place}", hint, SURROUNDINGS)
     print(json.dumps(report, indent=2) if form == "json" else show(report))
     return OK

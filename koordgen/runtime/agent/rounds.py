@@ -52,7 +52,7 @@ class _Present:
 
     open: bool = False
     sensed: Sensed | None = None
-    tick: int = -1  # last tick of the round that was handled
+    tick: int = -1  # last handled tick of the round
     acknowledged: bool = False  # the robots that wait know that this robot has applied the round
 
 
@@ -138,9 +138,10 @@ class Rounds:
 
     @property
     def expects(self) -> tuple[int, float]:
-        """Number of entries that are missing for the present round, and seconds to wait for all of them.
+        """Number of entries to wait for before waking, and seconds to wait for all of them.
 
-        Waking for each single entry would cost more than all other work. If no entry is missing, return 1 and 0 s.
+        Waking for each single entry would cost more than all other work. If no entry is missing, the result is
+        (1, 0.0): wake at the next message.
         """
         state, at_once = self._replica.state, self._present.open and not self._policy.is_strained(self.round)
         if state is None or at_once or state.applied >= self.round or not state.lacking:

@@ -91,7 +91,7 @@ def _runs(rounds: Iterable[RoundResult]) -> list[list[Any]]:
 
 
 def _within(most: int, rows: Iterable[list[Any]]) -> list[list[Any]]:
-    """Return as many of the first rows as have at most `most` bytes of JSON together."""
+    """Return the longest beginning of the rows whose JSON has at most `most` bytes."""
     kept: list[list[Any]] = []
     for row in rows:
         most -= len(_encoder.encode(row))

@@ -19,7 +19,7 @@ AHEAD = 8  # largest number of rounds by which a peer's clock may be ahead of th
 DROP_EVERY = 4  # rounds between two drops of settled entries, because each drop visits all logs
 WINDOW = 256  # number of unsettled entries of one author at which the author runs no more events
 NO_INCARNATION = -2  # a number that is never an incarnation
-MOST_PAST = 16  # number of kept past stores from which on unneeded past stores are dropped
+MOST_PAST = 16  # past stores that are no longer needed are dropped once so many are kept
 
 
 class StateMachine:

@@ -40,7 +40,7 @@ def base_of(path: Path) -> tuple[Path, int | None]:
 
     The number is None if `path` is not an older part. Raises OSError."""
     match = re.fullmatch(r"(.+)-([0-9]{1,15})", path.stem)
-    if match is None or numbered(path):  # a name that ends in a number is a current part if it has older parts
+    if match is None or numbered(path):  # a numbered name with older parts is a current part
         return path, None
     return path.with_stem(match[1]), int(match[2])
 

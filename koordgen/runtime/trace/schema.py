@@ -126,7 +126,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
 
     format: str  # version of the trace: koord-trace/2
     app: str  # name of the program
-    program_hash: str  # hash of the program: 16 hexadecimal digits; "": a counterexample with numbers that robots lack
+    program_hash: str  # 16 hexadecimal digits; "": a counterexample with numbers that no robot has, such as 1/3
     delta: float  # length of a round [s]
     seed: int  # seed of the simulator's random numbers
     robots: tuple[RobotName, ...]  # robots of the run, in the order of their pids
@@ -138,7 +138,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     world: WorldRecord = WorldRecord()  # arena, floor, wind and markers
     shared: tuple[SharedVariable, ...] = ()  # shared variables of the program
     records: dict[str, tuple[tuple[str, str], ...]] = {}  # record types: name -> names and types of the fields
-    followed: str = ""  # the run executed a counterexample, a "run" or a "step"; "": it did not
+    followed: str = ""  # kind of the counterexample that the run executed: "run" or "step"; "": none
     applications: tuple[str, ...] = ()  # names of the applications in this trace; today only `app`
     counterexample: Literal["run", "step"] | UnsetType = UNSET  # of a counterexample: begins at initial or at any state
     params: Mapping[str, Any] | UnsetType = UNSET  # only of a counterexample: values of the program's params

@@ -159,7 +159,7 @@ class Replay:
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """Return the actuators that no event wrote and whose hold value is that of an undeclared sensor."""
+        """Return the actuators that no event has written and that hold the value of a sensor without a declaration."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
         return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 

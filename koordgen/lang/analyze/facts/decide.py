@@ -298,7 +298,7 @@ def _is_contradictory(rows: Iterable[Linear]) -> bool:
 
 
 def _add(system: dict[tuple[tuple[Var, int], ...], int], sums: dict[Var, int], bound: int) -> bool:
-    """Add the row sums + bound >= 0, divided by the gcd of its factors.
+    """Add the inequality `sums + bound >= 0` as a row, divided by the gcd of its coefficients.
 
     Returns False if the row can never hold.
     """
@@ -324,10 +324,10 @@ class Example(Node):
 
 
 def find(formulas: Iterable[Formula], params: Mapping[str, int]) -> Example | None:
-    """Search values that satisfy the formulas; return None if the search finds none.
+    """Search for values that satisfy the formulas; return None if the search finds none.
 
     Tries small values, and values near the constants in the formulas. `params` has fixed values of variables. Prefers
-    certain examples, then fleets of three robots, which read best.
+    examples that depend on no unknown value, then fleets of three robots, which are easy to read.
     """
     wanted = And(tuple(formulas))
     marks = {abs(c) for c in _constants(wanted) if abs(c) < 2**62} | {0}

@@ -103,7 +103,7 @@ class ProofContext:
         self.instantiating = False
         self.passes = 0
         self.position = 0  # number of loop heads and loop ends encoded in this event
-        self.known_from = 0  # position from which on a new fact is known
+        self.known_from = 0  # value of `position` from which on a new fact holds
         self.absent: dict[tuple[object, ...], Term] = {}  # item -> the term "no robot has this item".
         # Int terms over which the current quantifier ranges. Each term is a robot's pid.
         self.granted: set[Term] = set()
