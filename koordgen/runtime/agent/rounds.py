@@ -266,7 +266,7 @@ class Rounds:
             self._runner.locals = outputs.life.locals
             self.stopped = self.stopped or outputs.life.stopped
         elif won is False:
-            self.counters.gave_way += 1
+            self.counters.lost_contention += 1
             # The checkpoint holds few private states. Overwrite the state after the lost transaction, so that repeated
             # losses never push a valid state out of the checkpoint.
             self._driver.persist_private((outputs.life, state.view.members[self._pid]))

@@ -61,7 +61,7 @@ class RoundCounters:
     missed: int = 0  # rounds during which the agent did not run
     faults: int = 0
     discarded: int = 0  # faults of events that were not finished by the publish deadline
-    gave_way: int = 0  # transactions that lost the lock to another robot's transaction
+    lost_contention: int = 0  # transactions that lost the lock to another robot's transaction
     current: int = 0  # rounds in which the robot's shared state was current in time
     asked: int = 0  # NACKs sent for missing entries
     out: int = 0  # rounds in which the robot had no valid shared state

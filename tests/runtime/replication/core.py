@@ -349,7 +349,7 @@ class Fleet:
 
     def lost_contention(self, pid: int) -> int:
         """How many transactions of a robot another one's was preferred to."""
-        return self._robots[pid].rounds.counters.gave_way
+        return self._robots[pid].rounds.counters.lost_contention
 
     def _drain(self, pid: int) -> list[Sent]:
         flights = self._robots[pid].flights
