@@ -17,7 +17,7 @@ from koordgen.runtime.trace.writer import Observe, RoundRecord, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.stall import State
 
-_ACTING = {"off": "", "log": "", "hold": "; the robot holds", "land": "; it lands", "stop": "; it comes to rest"}
+_ACTING = {"off": "", "log": "", "hold": "; the robot holds", "land": "; it lands", "stop": "; it stops safely"}
 _STALLED: dict[State, str] = {
     "begins": "no way for {:.0f} s",
     "goes on": "still no way after {:.0f} s",

@@ -295,7 +295,7 @@ class LockstepAgent(AgentHandle):
             self.thaw()
         if self._machine is not None:
             with self._inside:
-                self._machine.end("SIGTERM: coming to rest")
+                self._machine.end("SIGTERM: stopping safely")
             self._wake = self._shared.clock.now()
             if self._machine.done:
                 self._leave(self._machine.status)

@@ -13,7 +13,7 @@ from koordgen.runtime.trace.schema import Monitor, Verdict
 
 MOST = 200  # changes that pages show
 OF_ONE = 6  # per property and robot without a reaction: a box may be left again and again
-ACTS = {"hold": "holds", "land": "lands", "stop": "comes to rest"}
+ACTS = {"hold": "holds", "land": "lands", "stop": "stops safely"}
 SOON = 2  # rounds within which a robot's monitor has evaluated the property
 
 Key = tuple[str, str, str]  # of, name, line

@@ -85,7 +85,7 @@ def test_hold_lasts_until_it_is_right_again_and_the_program_goes_on_meanwhile() 
     assert [o for o, _ in outcomes(fleet, 1, "Yard")] == ["unknown", "violated", "unknown"]
 
 
-DOES = {"land": "; it lands", "stop": "; it comes to rest"}
+DOES = {"land": "; it lands", "stop": "; it stops safely"}
 
 
 @pytest.mark.parametrize("action", ["land", "stop"])

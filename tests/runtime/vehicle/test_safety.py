@@ -248,7 +248,7 @@ def test_a_normal_end_warns_of_nothing() -> None:
     fleet.boot(2)
     fleet.run_rounds(5)
     for robot in fleet.robots.values():
-        robot.agent.end("SIGTERM: coming to rest")
+        robot.agent.end("SIGTERM: stopping safely")
     fleet.run(5.0)
     assert all(robot.agent.done for robot in fleet.robots.values())
     said = [line for robot in fleet.robots.values() for line in robot.lines]

@@ -26,7 +26,7 @@ HOLDS = WHOLE.replace("sum <= 9", "sum <= 99")
 def home_of(folder: Path, text: str, seconds: float = 3.0) -> Path:
     fleet = watched(folder, text).run(seconds)
     for robot in fleet.fleet.robots.values():
-        robot.agent.end("SIGTERM: coming to rest")
+        robot.agent.end("SIGTERM: stopping safely")
     fleet.fleet.run(1.0)
     return saved(folder, fleet, text)
 
