@@ -64,9 +64,7 @@ class Context(Reporter):
         super().__init__(source)
         self.program = program
         self.owners: dict[str, Node] = {}  # name -> syntax node that declares it; filled before `entities`
-        self.entities: dict[
-            str, Entity | None
-        ] = {}  # by name; None: wrong, and its uses are not reported
+        self.entities: dict[str, Entity | None] = {}  # by name; None: wrong, and its uses are not reported
         self.types: dict[str, Type | None] = {}  # records and extern types by name; None: the declaration is wrong
         self.imported: dict[str, Import] = {}  # imported variable -> the import that declares it
         self.calls: dict[str, set[str]] = {}  # function -> the functions it calls

@@ -16,8 +16,8 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 
 from koordgen.lang.ir import decl
-from koordgen.lang.ir.system import Instance, System
 from koordgen.lang.semantics import step as single
+from koordgen.lang.semantics.composition import Instance, System
 from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.state import NOTHING, Robot, State, Store, World
 from koordgen.lang.semantics.step import Step

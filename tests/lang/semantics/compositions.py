@@ -6,8 +6,8 @@ from random import Random
 
 from koordgen.lang.analyze.program import check
 from koordgen.lang.ir.decl import Program
-from koordgen.lang.ir.system import Application, System
 from koordgen.lang.ir.verify import verify
+from koordgen.lang.semantics.composition import Application, System
 from koordgen.lang.source import Source
 from koordgen.lang.syntax.parse import parse
 

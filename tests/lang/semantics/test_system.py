@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from koordgen.lang.ir.system import Application, System
+from koordgen.lang.semantics.composition import Application, System
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.relations import choices

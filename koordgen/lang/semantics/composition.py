@@ -1,4 +1,4 @@
-"""IR of a fleet's applications: programs with their members, and the bindings of their imports.
+"""Composition of a fleet: applications with their members, and the bindings of their imports.
 
 An *instance* is an application at work on one robot. Instances are numbered application by application, and within an
 application by pid. With one application on all robots the number of an instance is its pid.
