@@ -145,7 +145,7 @@ def main() -> int:
     fresh = generate()
     if "--check" in sys.argv[1:]:
         if OUTPUT.read_text(encoding="utf-8") != fresh:
-            print(f"{OUTPUT} is out of date: make generated", file=sys.stderr)
+            print(f"{OUTPUT} is out of date; run `make generated`", file=sys.stderr)
             return 1
         return 0
     OUTPUT.write_text(fresh, encoding="utf-8")

@@ -88,7 +88,7 @@ def _marked(area: GridMap, cells: set[Cell], code: int) -> GridMap:
 
 
 def _left(known: GridMap, part: int, parts: int, refused: list[Point]) -> frozenset[Cell]:
-    """Return the frontier without cells to which no way was found."""
+    """Return the frontier cells, except those that no path reached."""
     places = (cell(p, known.resolution) for p in refused)
     return _edge(known, part, parts).difference((g.x, g.y) for g in places)
 

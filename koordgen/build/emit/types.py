@@ -65,7 +65,7 @@ def _tuple(*items: str) -> str:
 
 
 def bound(type_: Type, names: Names) -> str:
-    """Return the Python expression for a type's Bound. An argument `T[N_SYS]` has that of a list."""
+    """Return the Python expression for a type's Bound. An argument `T[N_SYS]` has the Bound of a list."""
     match type_:
         case Scalar():
             return f"{names.use('Fixed')}(bytes={FIXED[type_]})"
