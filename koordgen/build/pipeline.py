@@ -79,14 +79,27 @@ def check_file(path: str) -> Checked:
 
 
 def check_alone(program: Program) -> list[Diagnostic]:
-    """Report each import of a program, because a program that runs alone has no exporter."""
-    message = "{}: a program with imports cannot be built, proved or explored yet, only checked"
+    """Report each import and each guarantee of a program.
+
+    A program that runs alone has no exporter. No tool but the check knows guarantees, so a program with guarantees is
+    refused instead of leaving them unproved without a word.
+    """
+    only = "cannot be built, proved or explored yet, only checked"
     help = "remove the import, and declare its variables in this program"
-    return [Diagnostic("B011", "error", message.format(i.name), i.span, help=help) for i in program.imports]
+    found = [
+        Diagnostic("B011", "error", f"{i.name}: a program with imports {only}", i.span, help=help)
+        for i in program.imports
+    ]
+    help = "remove the guarantee; an invariant may state what holds in every state"
+    return found + [
+        Diagnostic("B011", "error", f"{g.name}: a program with guarantees {only}", g.span, help=help)
+        for export in program.exports
+        for g in export.guarantees
+    ]
 
 
 def check_part(path: str) -> Checked:
-    """Parse, check and verify a program, which may import variables of another application. Raises Rejected.
+    """Parse, check and verify a program, which may be one of several applications. Raises Rejected.
 
     After syntax errors, the sections that could be parsed are checked as well, so one run reports both kinds of errors.
     """

@@ -88,7 +88,7 @@ CATALOGUE: dict[str, str] = {
     "B008": "the writes of all robots in a round exceed what the link carries",
     "B009": "an event's writes may need several datagrams",
     "B010": "the target's port has another meaning",
-    "B011": "a program with imports does not run alone",
+    "B011": "a program with imports or guarantees does not run alone",
 }
 
 
