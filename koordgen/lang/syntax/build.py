@@ -523,12 +523,12 @@ def broken_variable(c: Children) -> decl.Variable:
 
 def broken_exported(c: Children) -> decl.Exported:
     _, name, _, _, _, span = c[0]
-    return decl.Exported(types.BrokenType(span), name, None, False, (), span)
+    return decl.Exported(types.BrokenType(span), name, broken(c), False, (), span)
 
 
 def broken_imported(c: Children) -> decl.Imported:
     _, name, _, _, _, span = c[0]
-    return decl.Imported(types.BrokenType(span), name, None, (), False, span)
+    return decl.Imported(types.BrokenType(span), name, broken(c), (), False, span)
 
 
 def broken_port(c: Children) -> decl.Port:

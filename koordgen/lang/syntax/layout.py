@@ -62,7 +62,7 @@ _BEGINS = re.compile(
     r"[ ]*(?:using|sensors|actuators|assume|param|allread|allwrite|local|init|pre|eff|def|fun|extern|spec|axiom"
     r"|invariant|initially|elif|for|while|break|continue|return|atomic|pass|stop)\b"
     r"|[ ]*(?:if\b[^\n]*|else[ \t]*):[ \t]*(?:[\n#])"
-    r"|[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
+    r"|(?:import[ \t]+)?[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
 )
 # Likewise for assignments. But `name =` alone may also be an argument of a call.
 _ASSIGNS = re.compile(

@@ -364,7 +364,8 @@ def _broken(tokens: Tokens) -> Any:
     last = [token for token in tokens if token[2] == first[2]][-1]
     names = [token for token in tokens if token[0] == "NAME"]
     span = Span(first[2], first[3], first[2], last[3] + len(last[1]))
-    declared = names[1:2] if len(names) > 1 and tokens[0] is names[0] and tokens[1] is names[1] else names[:1]
+    rest = tokens[1:] if first[0] == "write" else tokens  # `write Type name`
+    declared = names[1:2] if len(names) > 1 and rest[0] is names[0] and rest[1] is names[1] else names[:1]
     return "BROKEN", declared[0][1] if declared else "", first[2], first[3], _names(tokens), span
 
 

@@ -37,9 +37,7 @@ def broken_names(program: decl.Program) -> frozenset[str]:
     for node in nodes(program):
         if isinstance(node, (expr.Broken, stmt.BrokenStmt, decl.BrokenSection)):
             found.update(node.names)
-        elif isinstance(node, (decl.Variable, decl.Param, decl.Exported, decl.Imported)) and isinstance(
-            node.type, BrokenType
-        ):
+        elif isinstance(node, (decl.Variable, decl.Param)) and isinstance(node.type, BrokenType):
             found.add(node.name)
     return frozenset(found)
 

@@ -16,6 +16,7 @@ from koordgen.lang.syntax.layout import sections
 from koordgen.lang.syntax.lr import DEEPEST_TREE
 from koordgen.lang.syntax.parse import parse
 from koordgen.lang.syntax.recover import MOST_FAULTS
+from koordgen.lang.syntax.walk import broken_names
 from tests.lang.syntax.test_fuzz import is_broken, lies_in
 
 ROOT = Path(__file__).parents[3]
@@ -198,6 +199,17 @@ def test_lines_of_declarations_are_read_one_by_one() -> None:
     (section,) = tree.sections
     assert isinstance(section, decl.Variables)
     assert [v.name for v in section.variables] == ["a", "int", "b", "x", "z"]
+
+
+def test_exports_and_imports_are_read_one_by_one() -> None:
+    text = "export:\n  write int n m\n  int k\n    guarantee A: k <\n  int x[\n"
+    tree, found = read(text + "import Mapping:\n  int\n  write int b of\n  int c\n")
+    assert [d.span.line for d in found] == [2, 4, 5, 7, 8]
+    first, second = tree.sections
+    assert isinstance(first, decl.Export) and isinstance(second, decl.Import)
+    assert [(v.name, len(v.guarantees)) for v in first.variables] == [("n", 0), ("k", 1), ("x", 0)]
+    assert [item.name for item in second.items] == ["int", "b", "c"]
+    assert broken_names(tree) >= {"n", "x", "b"}, "uses of these names are not reported as undefined"
 
 
 def test_ports_are_read_one_by_one() -> None:
