@@ -21,6 +21,7 @@ from koordgen.lang.semantics.system import (
     system_round,
     view,
 )
+from koordgen.runtime.values.points import Point
 from tests.lang.semantics.compositions import compiled, random_system, text
 
 MAPPING = """
@@ -146,7 +147,7 @@ def test_a_round_is_one_that_the_language_allows(seed: int) -> None:
 def leads(
     system: System, state: SystemState, after: SystemState, order: tuple[int, ...], events: dict[int, str | None]
 ) -> bool:
-    """Whether the steps in this order, each as relations.py allows it, lead to `after`."""
+    """Return whether the steps in this order lead to `after`, each as relations.py allows it."""
     instances, at = system.instances(), state
     for number in order:
         instance = instances[number]
@@ -176,3 +177,30 @@ def owned(system: System, before: SystemState, after: SystemState, steps: list[I
             assert after.stores[index].cells[name] == value or acted & {index, *others}
         assert after.stores[index].slots == before.stores[index].slots or index in acted
         assert after.locals[index] == before.locals[index] or index in acted
+
+
+def test_the_number_of_members_is_the_exporters() -> None:
+    task = Application("task", compiled("task", TASK), (2,), (("Mapping", "mapping"),))
+    system = System((Application("mapping", compiled("mapping", MAPPING), (0, 1, 2)), task), 3)
+    state, _ = system_round(system, begun(system))
+    assert state.locals[1] == ({"sum": 0, "mine": 2, "many": 3},)
+
+
+def test_the_applications_of_a_robot_see_the_same_ports() -> None:
+    """One application commands, the other reads what the command clears; each sees the ports of its own modules."""
+    drives = "using Motion:\n  sensors:\n    Point position\n    bool reached\n"
+    drives += "  actuators: Point target at position clears reached\n"
+    first = compiled("first", drives + "Go:\n  pre: Motion.reached\n  eff: Motion.target = Point(1, 0, 0)\n")
+    reads = "using Motion:\n  sensors: bool reached\nusing Arm:\n  sensors: int load\nlocal: bool there\n"
+    second = compiled("second", reads + "Look:\n  pre: Arm.load > 2\n  eff: there = Motion.reached\n")
+    system = System((Application("first", first, (0,)), Application("second", second, (0, 1))), 2)
+    here = {"Motion.position": Point(5.0, 0.0, 0.0), "Motion.reached": True, "Arm.load": 3}
+    state, _ = run_inits(system, initial_system(system, [here, {"Arm.load": 1}]))
+    assert view(system, state, 0).robots[0].ports["Motion.target"] == Point(5.0, 0.0, 0.0), "held at the position"
+    assert view(system, state, 1).robots[0].ports == {"Motion.reached": True, "Arm.load": 3}
+    assert view(system, state, 1).robots[1].ports == {"Motion.reached": False, "Arm.load": 1}
+    state, _ = system_round(system, state)
+    assert state.locals[1][0]["there"] is True, "the round's start"
+    assert state.ports[0]["Motion.target"] == Point(1.0, 0.0, 0.0) and state.ports[0]["Motion.reached"] is False
+    state, steps = system_round(system, state)
+    assert state.locals[1][0]["there"] is False and [s.step.event for s in steps] == [None, "Look", None]
