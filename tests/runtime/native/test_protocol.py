@@ -21,8 +21,9 @@ needs_compiler = pytest.mark.skipif(not (COMPILER and HEADERS), reason="there is
 ROOT = Path(__file__).resolve().parents[3]
 ONE = ("koordgen.runtime.net.seal",)  # compiles in seconds
 NET = "tests/runtime/net"
-TESTS = (f"{NET}/test_layout.py", "tests/runtime/replication")
-MORE_TESTS = (NET, "tests/model", "tests/runtime/agent")
+REPLICATION = "tests/runtime/replication"
+TESTS = (f"{NET}/test_layout.py", f"{REPLICATION}/test_driver.py", f"{REPLICATION}/test_large.py")
+MORE_TESTS = (NET, REPLICATION, "tests/model", "tests/runtime/agent")
 SCRIPT = """
 import sys
 from koordgen.runtime.native import protocol

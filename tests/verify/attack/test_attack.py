@@ -42,11 +42,12 @@ def test_what_is_proved_of_right_programs_is_never_contradicted(name: str, solve
         assert not names or "vacuous" in proved or found.states or found.reasons
 
 
+@pytest.mark.parametrize("seeds", (range(2), pytest.param(range(2, 10), marks=pytest.mark.slow)), ids=("two", "more"))
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_the_invariants_of_the_examples_are_never_contradicted(path: Path, solver: Solver) -> None:
+def test_the_invariants_of_the_examples_are_never_contradicted(path: Path, seeds: range, solver: Solver) -> None:
     program = check_file(str(path)).program
     names = [WELL_DEFINED, *[p.name for p in program.properties if p.kind == "invariant"]]
-    for seed in range(8):
+    for seed in seeds:
         found = attack(program, names, solver=solver, clock=ticks(), seed=seed)
         assert found.contradiction is None
         assert found.states
