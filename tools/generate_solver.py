@@ -124,7 +124,7 @@ def as_c(function: Any) -> str:
 
 
 def _filled_lines(*statements: str) -> str:
-    """Return statements, filled into lines of at most WIDTH columns."""
+    """Return the text of C statements, wrapped at WIDTH columns."""
     text, line = "", "   "
     for word in " ".join(statements).split(" "):
         if len(line) + 1 + len(word) > WIDTH:

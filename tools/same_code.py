@@ -4,14 +4,14 @@
 
 A commit that moves code between modules changes no syntax tree but for its imports. This command proves it: each
 function, class, assignment and other top-level statement of OLD must have one equal partner in NEW, in any module, and
-each of NEW must be such a partner. PATHs are files or folders: only definitions that stand in them, in either commit,
-are compared.
+each definition of NEW must be the partner of one in OLD. PATHs are files or folders: only definitions that stand in
+them, in either commit, are compared.
 
 Names are compared by what they denote. A name that is imported, however it is imported, or defined in its module must
-denote partners, so a moved function cannot read another constant of the same name. Equal definitions in several modules
-find their partners by the modules that their neighbours moved to. Definitions of one name from several modules must not
-meet in one module. Imports, also under `if TYPE_CHECKING:`, and `__all__` are no definitions; each name in `__all__`
-must exist in its module.
+denote partners, so a moved function cannot read another constant of the same name. If several modules contain equal
+definitions, each is paired by the module to which its neighbours moved. Two definitions with one name must not move
+into one module. Imports, also under `if TYPE_CHECKING:`, and `__all__` are no definitions; each name in `__all__` must
+exist in its module.
 
 --renames FILE   Each line is `OLD_NAME NEW_NAME [PATH]`. Every identifier OLD_NAME in OLD, of variables, attributes,
                  parameters and definitions, must be NEW_NAME in NEW; with PATH, only in that file or folder of OLD.
@@ -95,8 +95,8 @@ class Definition:
 class Token(NamedTuple):
     """One step of a walk over a tree.
 
-    `key`: must be equal in a partner. `target`: the object that a name denotes. `literal`: a string that rules may
-    replace.
+    `key`: must equal the key of the same step in the partner, the matching definition of the other commit.
+    `target`: the object that a name denotes. `literal`: a string that rules may replace.
     """
 
     key: str
@@ -581,7 +581,8 @@ def _moved(start: object, end: object, moves: set[tuple[Module, Module]]) -> boo
 def _first(one: Definition, other: Definition) -> str:
     """Return the first place where two definitions differ."""
     if one.module.future != other.module.future:
-        return f"{one.place} -> {other.place}: {one.label} differs: `from __future__ import` of its module"
+        where = f"{one.place} -> {other.place}: {one.label}"
+        return f"{where} differs: the two modules have different `from __future__` imports"
     end = Token("its end", one.tokens[-1].line), Token("its end", other.tokens[-1].line)
     pairs = zip([*one.tokens, end[0]], [*other.tokens, end[1]], strict=False)
     a, b = next((a, b) for a, b in pairs if a.key != b.key)

@@ -126,7 +126,7 @@ def _shape(obstacle: dict[str, Any]) -> Shape:
         case "cylinder":
             return Disc((obstacle["base"][0], obstacle["base"][1]), obstacle["radius"])
         case other:
-            raise ValueError(f"a {other} is no obstacle that this knows")
+            raise ValueError(f"unknown obstacle {other!r}; this verdict knows box, sphere and cylinder")
 
 
 def reachable(run: Run) -> set[Cell]:
@@ -156,7 +156,8 @@ def contradictions(run: Run) -> list[str]:
             if code == OCCUPIED and beyond > math.sqrt(2) * map_.size:
                 found[cell, code] = f"at {map_.t:.1f} s cell {cell} is occupied, {beyond:.2f} m from any obstacle"
             elif code == FREE and beyond < -map_.size / 2:
-                found[cell, code] = f"at {map_.t:.1f} s cell {cell} is free, {-beyond:.2f} m within an obstacle"
+                inside = f"{-beyond:.2f} m inside an obstacle"
+                found[cell, code] = f"at {map_.t:.1f} s cell {cell} is marked as free, but lies {inside}"
     return list(found.values())
 
 

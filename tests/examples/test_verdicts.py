@@ -119,7 +119,7 @@ def test_mapping_a_right_map(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ("#...#???", "cell (0, 2) is occupied, 1.75 m from any obstacle"),
         (".#..#???", "cell (1, 2) is occupied, 1.25 m from any obstacle"),
         ("..#.#???", "cell (2, 2) is occupied, 0.75 m from any obstacle"),
-        ("....#.??", "cell (5, 2) is free, 0.75 m within an obstacle"),
+        ("....#.??", "cell (5, 2) is marked as free, but lies 0.75 m inside an obstacle"),
     ],
 )
 def test_mapping_contradictions_are_seen_even_if_they_go_away(

@@ -19,7 +19,7 @@ _OURS = ("koordgen", "targets", "program", "__main__")  # names of our own modul
 
 
 def driver_files(drivers: Mapping[str, DriverClass], program: Program, folders: list[Path]) -> dict[str, Path]:
-    """Return the file of each driver, by the module that it serves: that in the first of `folders` which has one.
+    """Return the driver file of each module. If several of `folders` contain the file, the first of them counts.
 
     Drivers of modules that the program does not use are left out.
     """

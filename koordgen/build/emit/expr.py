@@ -100,7 +100,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if strength == own:
                 return longer(shown, last), own
             return chain(shown if strength > own else brackets("(", [shown], ")"), last), own
-        case ir.Compare(op, left, right) if left.type == STRING:  # no slower than a turn, whatever the length
+        case ir.Compare(op, left, right) if left.type == STRING:  # strings of any length: no longer than a turn
             return _infix(_within(left, names, _SUM), op, _within(right, names, _SUM)), _COMPARE
         case ir.Compare(op, left, right):
             return _infix(_compared(left, names), op, _compared(right, names)), _COMPARE

@@ -1,11 +1,11 @@
-"""Screening: formulas -> Python over arrays, a sufficient condition for many observations at once.
+"""Screening: array code that checks a sufficient condition of a formula for many observations at once.
 
-An under-approximation: comparisons of floats keep a margin, so where the screening is true, the exact formula is true,
-whatever the arrays round. Where it is false, the exact formula is evaluated.
+An under-approximation: comparisons of floats keep a margin, so rounding in the arrays never makes a screening true
+where the exact formula is false. Where a screening is false, the exact formula is evaluated.
 
-A formula has no screening if a part may have no value, or needs more than numbers, Points and truth values. A
-comparison with NaN is false in a screening; if another operand could make the screening true all the same, the formula
-has no screening either.
+A formula has no screening if a part may have no value, or needs more than numbers, Points and bools. A comparison with
+NaN is false in a screening. A formula also has no screening if another operand could make the screening true in spite
+of such a NaN.
 """
 
 from __future__ import annotations

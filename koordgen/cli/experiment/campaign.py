@@ -102,7 +102,7 @@ def _show_table(
         print(text, end="", file=console.output(options))
         print(f"table and plots are in {kept.folder}", file=console.output(options))
     except OSError:
-        # If the campaign ended early, the caller reports the reason for its early end, which matters more.
+        # If the campaign ended early, the caller reports the reason, which matters more than this error.
         if whole:
             raise
 

@@ -30,7 +30,7 @@ REFUSED = ("scenario", "duration", "gui", "loss", "delay", "jitter", "duplicatio
 def plan_of_trace(options: Namespace) -> tuple[dict[str, Value], dict[str, Any]]:
     """Return params and the simulator's plan for executing a counterexample trace.
 
-    The params are those that the trace sets, but neither the fleet file nor `--param`. Raises Rejected, Failure."""
+    The params are those of the trace, without those that the fleet file or `--param` sets. Raises Rejected, Failure."""
     for name in REFUSED:
         if getattr(options, name) not in (None, False):
             raise Failure(

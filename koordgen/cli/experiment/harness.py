@@ -112,7 +112,7 @@ def _run(command: list[str], options: Namespace) -> int:
         started[0].send_signal(asked) if started else early.append(asked)
 
     watched = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-    # A signal that this process ignores, such as SIGHUP under nohup, is not passed on: the run ignores it, too.
+    # This process passes on no signal that it ignores, such as SIGHUP under nohup: the run ignores that signal as well.
     heard = [each for each in watched if signal.getsignal(each) != signal.SIG_IGN]
     before = {each: signal.signal(each, pass_on) for each in heard}
     try:

@@ -194,7 +194,7 @@ def _print_report(
         store.replace(out / "validation.json", json.dumps(document, indent=2) + "\n")
         store.replace(out / "validation.txt", text)
     except OSError:
-        # If the validation ended early, the caller reports the reason for its early end, which matters more.
+        # If the validation ended early, the caller reports the reason, which matters more than this error.
         if whole:
             raise
     if options.format == "json":

@@ -143,7 +143,7 @@ def attack_from_file(options: Namespace) -> int:
         raise Failure(WRONG, f"{name}: {error}", error.help) from None
     except TrialNotCovered as error:
         raise Failure(
-            WRONG, f"{name} shows nothing: {error}", "no verdict of `koordgen prove` covers this state or step"
+            WRONG, f"{name} contradicts no verdict: {error}", "no verdict of `koordgen prove` covers this state or step"
         ) from None
     except UnusableStep as error:
         raise Failure(

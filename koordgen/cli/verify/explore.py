@@ -140,8 +140,8 @@ def _search(
 def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
     """Return the limits of the second search, which looks for a run that agents can execute.
 
-    Agents may need as many rounds as there are robots for one round of the language, since agents commit only one
-    transaction for each lock in a round."""
+    Agents commit only one transaction for each lock in a round. For one round of the language they may therefore need
+    as many rounds as there are robots."""
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
     rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
@@ -149,9 +149,9 @@ def _further(bounds: ExplorationBounds, found: FoundViolation, progress: Explora
 
 
 def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, seconds: float | None) -> bool:
-    """Return whether agents can execute each round of the run to a violation.
+    """Return whether agents can execute every round of the run that ends in the violation.
 
-    The run includes the event without a result, if such an event is the violation.
+    If the violation is an event without a result, the run includes this event.
 
     Also returns False if the check takes more than `seconds`."""
     run = found.run_states if found.culprit is None else (*found.run_states, found.culprit)

@@ -83,7 +83,7 @@ _CHANGED = {
 
 
 def made_for(stored: Mapping[str, Any]) -> str:
-    """Return the purpose that a stored plan names; a plan without a known purpose is that of a campaign."""
+    """Return the purpose of a stored plan; the purpose of a campaign if the plan names no known purpose."""
     what = stored.get("what")
     return what if what in (VALIDATION, PROBES) else CAMPAIGN
 

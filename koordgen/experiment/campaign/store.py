@@ -58,7 +58,7 @@ class RunResult:
 
 
 class CampaignStore:
-    """Open folder of a campaign, with the results of all finished runs by run number.
+    """Folder of a campaign that this process has opened, with the results of all finished runs by run number.
 
     Only one process can use the folder at a time. The context manager `claimed` opens the folder."""
 

@@ -46,7 +46,7 @@ class AssumptionObservation:
     worst: BoxBreach | None = None
     breaches: Counter[str] = field(default_factory=Counter)  # kind of breach -> number of violated windows
 
-    # kind of breach -> largest distance of the robot from the box in one window, in metres
+    # kind of breach -> largest distance in one window, in metres, from the box that the assumption allows
     farthest: dict[str, float] = field(default_factory=dict)
     # kind of breach -> largest sum of breaches over consecutive windows, in metres
     together: dict[str, float] = field(default_factory=dict)

@@ -306,7 +306,7 @@ _LABELS = {
 
 
 def figures(found: Reachset) -> Figures:
-    """Compute the sizes of a reachset from boxes whose axes are the offset's direction, its left, and z."""
+    """Compute the sizes of a reachset from boxes. Their axes: along the offset, to the left of it, z."""
     lower = np.stack([found.ahead[:, 0], found.aside[:, 0], found.lower[:, 2]], axis=1)
     upper = np.stack([found.ahead[:, 1], found.aside[:, 1], found.upper[:, 2]], axis=1)
     window = max(1, round(found.delta / (found.edges[1] - found.edges[0])))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 RESERVE = 64 * 1024 * 1024  # number of bytes that a deployment leaves free on the disk
-SMALL = 1024 * 1024  # number of free bytes that a request needs if it writes only small files
+SMALL = 1024 * 1024  # free bytes that a request for small files needs
 PIECE = 1024 * 1024  # number of bytes that are read in one call
 
 _ROBOT = re.compile(r"[a-z][a-z0-9_-]{0,31}")

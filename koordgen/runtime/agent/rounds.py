@@ -157,7 +157,7 @@ class Rounds:
         self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
-        """Do all work that is due at local time `now` (s). Return the latest local time for the next call.
+        """Do all work that is due at local time `now` (s). Return the local time by which the next call is due.
 
         Raises Lost.
 

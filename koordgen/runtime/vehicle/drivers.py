@@ -21,7 +21,7 @@ Drivers = Mapping[str, Callable[[], Any]]
 
 
 def with_drivers(platform: Platform, program: Program, drivers: Drivers) -> Platform:
-    """Return a platform in which a driver serves each module of `drivers`.
+    """Return a platform that answers for each module in `drivers` by that module's driver.
 
     Raises Unready if a driver cannot be created."""
     return Driven(platform, program, drivers) if drivers else platform

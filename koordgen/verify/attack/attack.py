@@ -56,7 +56,7 @@ TRIES = 12  # largest number of attempts to draw one initial state
 ROUNDS = 6  # length of one random walk, in rounds
 ORDERS = 150  # largest number of events that are run from one state of the solver
 VARIED_ORDERS = 8  # largest number of events that are run from one variation of a known state
-MODEL_RUNS = 60  # assumed number of runs of an event that one state of the solver makes possible
+MODEL_RUNS = 60  # estimate: the number of event runs that one state from the solver makes possible
 SKIPS = 0.15  # probability that a robot runs no event in a round of a random walk
 STALE = 400  # the attack ends after STALE attempts, to find a state or to run a step, without a new state
 FIRST = 0.4  # largest share of the time budget for initial states and first events
@@ -102,7 +102,7 @@ class ContradictionFound(Exception):
         self.contradiction = contradiction
 
 
-class RunPosition(NamedTuple):
+class RunPoint(NamedTuple):
     """Position of the attack within a run of the program.
 
     `first`: first state of the run.
@@ -117,19 +117,19 @@ class RunPosition(NamedTuple):
     turns: frozenset[int]
     acts: tuple[Act, ...]
 
-    def then(self, act: Act, now: State) -> RunPosition:
-        """Return the position after the step `act`, which leads to the state `now`.
+    def then(self, act: Act, now: State) -> RunPoint:
+        """Return the point of the run after the step `act`, which leads to the state `now`.
 
         A step of the environment, or `init`, ends the present round."""
         acts = (*self.acts, act)
         if act.pid is None:
-            return RunPosition(self.first, now, now, frozenset(), acts)
-        return RunPosition(self.first, self.start, now, self.turns | {act.pid}, acts)
+            return RunPoint(self.first, now, now, frozenset(), acts)
+        return RunPoint(self.first, self.start, now, self.turns | {act.pid}, acts)
 
 
-def beginning(state: State) -> RunPosition:
-    """Return the position at the beginning of a run. `state`: a state before `init`, or at the start of a round."""
-    return RunPosition(state, state, state, frozenset(), ())
+def beginning(state: State) -> RunPoint:
+    """Return the first point of a run. `state`: a state before `init`, or at the start of a round."""
+    return RunPoint(state, state, state, frozenset(), ())
 
 
 def attack(
@@ -209,7 +209,7 @@ class _AttackSearch:
         self.params, self.solver, self.until = params, solver, until
         self.computing, self.timed = clock, clock is time.process_time
         self.waited = 0.0  # seconds spent waiting for the solver
-        self.ready: list[RunPosition] = []  # positions directly after `init`
+        self.ready: list[RunPoint] = []  # points of runs directly after `init`
         self.known: list[State] = []  # states at the start of a round, from which variations are made
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
@@ -292,8 +292,8 @@ class _AttackSearch:
                     yield from self.once(place)
                     yield from self.walk(place)
 
-    def launch(self, robots: int) -> RunPosition | None:
-        """Draw an initial state, run `init` of all robots, and return the position after `init`.
+    def launch(self, robots: int) -> RunPoint | None:
+        """Draw an initial state, run `init` of all robots, and return the point of the run after `init`.
 
         Returns None if no initial state is found in TRIES attempts."""
         why = "no state was found that satisfies `initially`"
@@ -315,8 +315,8 @@ class _AttackSearch:
         self.judge.reasons.setdefault((INIT, ""), why)
         return None
 
-    def once(self, place: RunPosition) -> Iterator[None]:
-        """Run each possible event of a single robot from the given position, followed by a step of the environment."""
+    def once(self, place: RunPoint) -> Iterator[None]:
+        """From a point of a run, run each possible event of one robot, each followed by a step of the environment."""
         self.settle(place)
         for step in self.steps(place):
             yield
@@ -333,7 +333,7 @@ class _AttackSearch:
                 return
             yield from self.walk(self.random.choice(self.ready) if place is None else place)
 
-    def walk(self, place: RunPosition) -> Iterator[None]:
+    def walk(self, place: RunPoint) -> Iterator[None]:
         for _ in range(ROUNDS):
             robots = len(place.now.robots)
             for pid in self.random.sample(range(robots), robots):
@@ -346,10 +346,10 @@ class _AttackSearch:
             place = moved
             self.known.append(place.now)
 
-    def turn(self, place: RunPosition, pid: int) -> RunPosition:
+    def turn(self, place: RunPoint, pid: int) -> RunPoint:
         """Run one event of a robot: of the robot's possible events, the event with the fewest runs.
 
-        Return the position after the event, or the given position if no event can be run."""
+        Return the point of the run after the event, or the given point if no event can be run."""
         drawn = [(self.runs.get(event.name, 0), self.random.random(), event) for event in self.options(place, pid)]
         for _, _, event in sorted(drawn, key=lambda each: each[:2]):
             step = self.step(place, pid, event)
@@ -417,10 +417,10 @@ class _AttackSearch:
 
     # Execution of single steps
 
-    def steps(self, place: RunPosition) -> Iterator[RunPosition]:
+    def steps(self, place: RunPoint) -> Iterator[RunPoint]:
         """Run each possible event of each robot that has not run an event in the present round.
 
-        All events are run from the given position. Yields the position after each event."""
+        All events are run from the given point of a run. Yields the point after each event."""
         for pid in range(len(place.now.robots)):
             if pid not in place.turns:
                 for event in self.options(place, pid):
@@ -428,8 +428,8 @@ class _AttackSearch:
                     if step is not None:
                         yield step
 
-    def options(self, place: RunPosition, pid: int) -> list[decl.Event]:
-        """Return the events that robot `pid` may run at the given position.
+    def options(self, place: RunPoint, pid: int) -> list[decl.Event]:
+        """Return the events that robot `pid` may run at the given point of a run.
 
         The list is empty if a guard cannot be evaluated. Raises ContradictionFound if a guard must have a value, but
         has none."""
@@ -442,8 +442,8 @@ class _AttackSearch:
             self.check(place, act, place.now, breach)
         return ready.events
 
-    def step(self, place: RunPosition, pid: int, event: decl.Event) -> RunPosition | None:
-        """Run an event of robot `pid`, and return the position after the event.
+    def step(self, place: RunPoint, pid: int, event: decl.Event) -> RunPoint | None:
+        """Run an event of robot `pid`, and return the point of the run after the event.
 
         Returns None if the event is discarded or cannot be used. Raises BudgetSpent, ContradictionFound."""
         self.unit()
@@ -457,8 +457,8 @@ class _AttackSearch:
         after, act, breach = found
         return self.check(place, act, after, breach)
 
-    def settle(self, place: RunPosition) -> RunPosition | None:
-        """Run a step of the environment, which draws new sensor values. Return the position at the next round's start.
+    def settle(self, place: RunPoint) -> RunPoint | None:
+        """Run a step of the environment, which draws new sensor values. Return the next round's start in the run.
 
         Returns None if the program's assumptions allow none of the drawn sensor values."""
         self.unit()
@@ -482,8 +482,8 @@ class _AttackSearch:
             return None
         return self.check(place, act, after, breach)
 
-    def check(self, place: RunPosition, act: Act, after: State, breach: VerdictBreach | None) -> RunPosition:
-        """Return the position after the step `act`. Raises ContradictionFound if `breach` is not None."""
+    def check(self, place: RunPoint, act: Act, after: State, breach: VerdictBreach | None) -> RunPoint:
+        """Return the point of the run after the step `act`. Raises ContradictionFound if `breach` is not None."""
         step = place.then(act, after)
         if breach is not None:
             raise ContradictionFound(Contradiction(Trial(step.first, step.acts), breach, place.now, after))

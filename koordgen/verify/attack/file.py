@@ -223,7 +223,7 @@ class _TrialReader:
         return data
 
     def names(self, data: Any, what: str) -> tuple[str, ...]:
-        """Return a list of the file that contains names of invariants or of loop invariants of the program."""
+        """Return a list of invariants or loop invariants in the file; refuse names that the program lacks."""
         known = names_of(self.program)
         return tuple([self.name(one, what, known) for one in self.items(data, what, 1, len(known))])
 

@@ -273,7 +273,7 @@ def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
     points: list[Value] = []
     texts: dict[str, None] = {}
     spoken = (program.params, program.functions, program.modules, program.events, program.properties)
-    for node in reversed(list(walk(spoken))):  # begin with the constants at the end of the program
+    for node in reversed(list(walk(spoken))):  # from the last constant of the program to the first
         if isinstance(node, ir.Const):
             if type(node.value) is str:
                 texts[node.value] = None

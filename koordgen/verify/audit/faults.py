@@ -85,7 +85,7 @@ def loops(program: decl.Program, mission: FleetMission) -> list[PropertyResult]:
 
 
 def _miss(results: list[PropertyResult], mission: FleetMission) -> None:
-    """Count the rounds before the first recorded round as unknown in each result, once for each robot."""
+    """Add the rounds before the first recorded round to the unknown rounds of each result, once for each robot."""
     if mission.first:
         for result in results:
             result.miss(mission.first, len(mission.histories))

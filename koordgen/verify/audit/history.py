@@ -204,7 +204,7 @@ def _joined(lives: Sequence[ProcessLife]) -> list[ProcessLife]:
     The mission is taken from a later part of the same process run. A process run that ended before its first round, and
     before it joined a mission, is left out if another process run follows in the same files."""
     joined: list[ProcessLife] = []
-    # files of a robot -> the process run that follows in these files
+    # files of a robot -> the next later process run in these files
     later: dict[tuple[Path, int, int], ProcessLife] = {}
     for life in reversed(lives):
         follower = later.get((*life.log.family, life.pid))
@@ -382,7 +382,7 @@ class _HistoryBuilder:
         self.previous = max(self.previous, round_)
 
     def join(self, life: ProcessLife, gap: Gap) -> None:
-        """Add a gap to the history, and the locals and actuators that the robot restored if it had restarted."""
+        """Add a gap to the history. If the robot restarted, also add the locals and actuators that it restored."""
         self.history.quiet.append(gap)
         records = (line.record for line in life.lines if line.record["kind"] == "round")
         restored = next((r["restored"] for r in records if r.get("restored")), None) if self.came_back else None

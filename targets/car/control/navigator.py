@@ -362,7 +362,7 @@ class Navigator:
 
 
 def _rolls_against(state: BicycleState, curve: Curve) -> bool:
-    """Return whether the car rolls against the first gear of the curve; if so, it must stop before it can follow."""
+    """Return whether the car rolls against the first gear of the curve. If so, the car must stop before it follows."""
     first = next((way for _, way in curve.pieces if abs(way) > SLIVER), 0.0)
     return abs(state.speed) > STANDING and state.speed * first < 0
 

@@ -46,7 +46,7 @@ _ROVERS = (mavlink.MAV_TYPE_GROUND_ROVER, mavlink.MAV_TYPE_SURFACE_BOAT)
 
 
 class ConsoleTransport(Transport, Protocol):
-    """MAVLink transport on which the watchdog's process can write, too."""
+    """MAVLink transport on which the agent and the watchdog's process can write."""
 
     def way(self) -> Way | None: ...
 

@@ -103,7 +103,7 @@ class QuadAvoidance:
         return self._world.radius + self._world.kept
 
     def may_land(self, position: Point, place: Point) -> bool:
-        """Return whether geofence and obstacles allow the quad to fly straight to `place` and to land there.
+        """Return whether the straight line to `place`, and a landing there, are clear of geofence and obstacles.
 
         The quad may land on an obstacle only if it is above an obstacle already."""
         lifted = self._lifted(place)

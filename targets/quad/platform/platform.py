@@ -319,7 +319,7 @@ class Quad:
             self._motion.command((), now)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
-        """Call the only callable port, `planner(goal, obstacles)`, and return the planned path."""
+        """Answer a call of `planner(goal, obstacles)`, the only callable port, with the planned path."""
         path = self._avoidance.plan(self._telemetry.position, args[0], args[1] if len(args) > 1 else ())
         self._unplanned.called(args[0], self._avoidance.unplanned, self._now)
         return path

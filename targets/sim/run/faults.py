@@ -252,7 +252,7 @@ class Faults:
 
     def _restart(self, event: Event) -> None:
         agent = self._agent(event)
-        if not agent.asked_to_end:  # an agent told to end must not start again, for it would not be told twice
+        if not agent.asked_to_end:  # an agent that was asked to end must not start again: it is asked only once
             agent.restart()
 
     def _agent(self, event: Event) -> AgentHandle:

@@ -102,7 +102,7 @@ def test_who_gives_way_skips_and_does_not_fall_through() -> None:
         traced = robot.trace("round")[:6]
         assert [t["skipped"] for t in traced] == [r.skipped for r in robot.records[:6]]
         told = sum("lost contention" in (r.skipped or "") for r in robot.records)
-        assert robot.agent.counters()["lost_contention"] - told in (0, 1)  # a last one may not be told yet
+        assert robot.agent.counters()["lost_contention"] - told in (0, 1)  # the last loss may not be counted yet
         assert not robot.held()
 
 

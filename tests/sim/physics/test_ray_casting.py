@@ -70,7 +70,7 @@ def test_ranges_are_those_of_plane_geometry(
 
 
 def contains(obstacle: Obstacle, place: Vector) -> bool:
-    """Whether a block contains a place: a solid that contains the lidar ends no ray."""
+    """Return whether a block contains a place: a solid that contains the lidar ends no ray."""
     if not isinstance(obstacle, Block):
         return False  # `to_obstacle` knows that of the others
     lo, hi = obstacle.lo, obstacle.hi

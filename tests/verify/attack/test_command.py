@@ -171,7 +171,7 @@ def test_a_trial_that_contradicts_nothing_says_so(
     ("change", "status", "said"),
     [
         ({"state": None}, 1, "the state is not an object"),
-        ({"steps": [{"event": "Go", "robot": 0, "answers": []}] * 2}, 1, "shows nothing: "),
+        ({"steps": [{"event": "Go", "robot": 0, "answers": []}] * 2}, 1, "contradicts no verdict: "),
         ({"proved": ["R"]}, 1, "is none of the allowed names"),
     ],
 )

@@ -51,8 +51,8 @@ class Encoder:
         self.geometry = Geometry(context, self.lists)
         # Function -> arguments of its calls. An axiom holds for all values, and is instantiated at these arguments.
         self.calls: dict[str, list[tuple[Val, ...]]] = {}
-        # Whether a quantifier demands that all its instances have values. Assumed formulas have values, so the flag is
-        # False for them.
+        # True: a quantifier demands that all its instances have values. False for assumed formulas, because these have
+        # values.
         self.strict = False
         self.called_on: set[tuple[object, ...]] = set()
 
