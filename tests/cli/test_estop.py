@@ -331,7 +331,10 @@ def test_status_of_a_running_agent(
 ) -> None:
     assert run(bundles[1], "--status") == 5
     told = capsys.readouterr().err
-    assert "error: robot bert does not answer at 127.0.0.1:" in told and "check that the robot's agent runs on this computer" in told
+    assert (
+        "error: robot bert does not answer at 127.0.0.1:" in told
+        and "check that the robot's agent runs on this computer" in told
+    )
     for folder in bundles:
         start(folder, started)
     limit = time.monotonic() + 20

@@ -21,6 +21,7 @@ from koordgen.lang.semantics.system import (
     system_round,
     view,
 )
+from koordgen.lang.semantics.values import Value
 from koordgen.runtime.values.points import Point
 from tests.lang.semantics.compositions import compiled, random_system, text
 
@@ -194,7 +195,7 @@ def test_the_applications_of_a_robot_see_the_same_ports() -> None:
     reads = "using Motion:\n  sensors: bool reached\nusing Arm:\n  sensors: int load\nlocal: bool there\n"
     second = compiled("second", reads + "Look:\n  pre: Arm.load > 2\n  eff: there = Motion.reached\n")
     system = System((Application("first", first, (0,)), Application("second", second, (0, 1))), 2)
-    here = {"Motion.position": Point(5.0, 0.0, 0.0), "Motion.reached": True, "Arm.load": 3}
+    here: dict[str, Value] = {"Motion.position": Point(5.0, 0.0, 0.0), "Motion.reached": True, "Arm.load": 3}
     state, _ = run_inits(system, initial_system(system, [here, {"Arm.load": 1}]))
     assert view(system, state, 0).robots[0].ports["Motion.target"] == Point(5.0, 0.0, 0.0), "held at the position"
     assert view(system, state, 1).robots[0].ports == {"Motion.reached": True, "Arm.load": 3}
