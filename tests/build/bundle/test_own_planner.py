@@ -33,7 +33,7 @@ planning = Beside("routes.mine:Mine", World(Box(Point(-5, -5, 1), Point(5, 5, 3)
 made(planning, time.sleep)
 path = planning.plan(Point(0, 0, 2), Point(1, 1, 2), Scene())
 planning.close()
-print(path, planning.news())
+print(path, planning.log_lines())
 """
 
 
