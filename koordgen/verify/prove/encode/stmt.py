@@ -128,9 +128,21 @@ class SymbolicFrame:
 
         Each returned state has a unique name, so its variables differ from the variables of all other states."""
         assert self.now is not None
-        writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
+        writes = self.changes(self.env)
         self.context.fresh += 1
         return UpdatedState(self.context, self.now, self.pid, writes, f"@place{self.context.fresh}")
+
+    def changes(self, env: Env) -> Env:
+        """Return the variables of the state that have new values after the writes in `env`.
+
+        On a path that does not write an allwrite variable, the variable keeps its value in `now`, which another robot
+        may have written since the round's start. `env` has the value that the event reads there."""
+        found = {key: value for key, value in env.items() if key[0] != "wrote"}
+        for key, value in found.items():
+            if key[0] == "cell" and self.now is not None and self.seen is not self.now:
+                wrote = as_term(env.get(("wrote", key[1]), t.TRUE))
+                found[key] = pick(wrote, value, self.now.of(key, self.pid))
+        return found
 
     # Reads of variables and ports
 

@@ -29,7 +29,7 @@ from koordgen.verify.prove.obligations.mission_start import (
     LaunchState,
     StartState,
     assume_initially,
-    with_cleared_sensors,
+    cleared_sensors,
 )
 from koordgen.verify.prove.obligations.part_encoder import Detail, PartEncoder, ProofProblem
 from koordgen.verify.prove.obligations.priority import assume_priority
@@ -278,7 +278,9 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
         with context.about(f"effect of {event.name}", event.span.line):
             live = frame.block(event.effect)
     ends = t.any_of([live, *[t.all_of(e.path) for e in frame.exits]])
-    after = UpdatedState(context, now, own, with_cleared_sensors(program, frame.writes(), now, own), "@after")
+    writes = frame.writes()
+    changes = {**frame.changes(writes), **cleared_sensors(program, writes, now, own)}
+    after = UpdatedState(context, now, own, changes, "@after")
     part_encoder.holds(problem.invariants, now)
     goals = at_heads(part_encoder, frame.heads)
     goals += [Goal(p.name, goal(part_encoder, p, after)) for p in problem.touched(problem.changed(event))]

@@ -22,11 +22,11 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 
-def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
-    """Return the variables that an event changes: its writes, and the sensors that its commands clear.
+def cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
+    """Return the sensors that the commands of an event may clear.
 
     A command clears a sensor by setting the sensor to false."""
-    found = {key: value for key, value in writes.items() if key[0] != "wrote"}
+    found: Env = {}
     commands: dict[Key, list[Term]] = {}
     for actuator, cleared in clears(program).items():
         if ("wrote", actuator) in writes:
@@ -101,7 +101,7 @@ class InitRun:
             self.env = self.frame.writes()
         over = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
         self.ended = t.all_of([over, *[demand.term for demand in self.demands]])
-        self.writes = with_cleared_sensors(part_encoder.problem.program, self.env, launch, robot)
+        self.writes = {**self.env, **cleared_sensors(part_encoder.problem.program, self.env, launch, robot)}
 
 
 class StartState:

@@ -88,7 +88,7 @@ MUTANTS: dict[str, Mutant] = {
         "V2", UNSOUND, generate.of_event, "another robot's `reached`",
         "problem.sensors - problem.cleared", "problem.sensors"),
     "a command does not clear `reached`": Mutant(
-        "V2", UNSOUND, mission_start.with_cleared_sensors, "a command",
+        "V2", UNSOUND, mission_start.cleared_sensors, "a command",
         "if (any_wrote := t.any_of(wrote)) is not t.FALSE:", "if False:"),
     "an invariant that failed is relied upon": Mutant(
         "V2", UNSOUND, verdict.prove, "an invariant that rests on a false one",
@@ -96,6 +96,10 @@ MUTANTS: dict[str, Mutant] = {
     "shared variables at the round's start are those now": Mutant(
         "V2", UNSOUND, state.RoundStart.of, "exclusion with stale copies",
         "return self.other.of(key, robot)", "return self.now.of(key, robot)"),
+    "a shared variable that a path does not write is as it was at the round's start": Mutant(
+        "V2", UNSOUND, stmt.SymbolicFrame.changes,
+        "a path that does not write a shared variable undid another robot's write",
+        "self.seen is not self.now", "False"),
     "invariants are not known before an event": Mutant(
         "V2", WEAKER, generate.of_event, "priority",
         "part_encoder.holds(problem.invariants, now)", "pass"),
