@@ -114,13 +114,15 @@ class SymbolicFrame:
         self.exits: list[Exit] = []
         self.heads: list[LoopHead] = []
         self.brief = False  # True to add fewer facts about loop iterations
+        # State from which the robot reads ports that another application may have changed since the round's start
+        self.sensed: Mapping[Key, SymbolicState] = {}
 
     def place(self) -> ProgramPoint:
         """Return the current program point, with a copy of all values."""
         copy = SymbolicFrame(
             self.e, self.pid, self.now, self.seen, self.ask, self.types, self.assume_at_head, self.encoding
         )
-        copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
+        copy.env, copy.temps, copy.brief, copy.sensed = dict(self.env), dict(self.temps), self.brief, self.sensed
         return ProgramPoint(copy, t.all_of(self.context.path), self.context.position, tuple(self.context.demands))
 
     def state(self) -> UpdatedState:
@@ -151,7 +153,7 @@ class SymbolicFrame:
             return self.env[key]
         if key[0] == "temp":
             return self.temps[key[1]]
-        state = self.seen if key[0] in ("slot", "cell") else self.now
+        state = self.sensed.get(key) or (self.seen if key[0] in ("slot", "cell") else self.now)
         assert state is not None
         return state.of(key, self.pid)
 

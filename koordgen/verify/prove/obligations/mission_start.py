@@ -44,7 +44,9 @@ class LaunchState:
     - A sensor that a command can clear is true. Every other sensor is arbitrary.
     - An actuator that holds at a sensor's value has this value. If the program does not declare the sensor, the
       actuator's value is arbitrary.
-    - Every other actuator has its default value."""
+    - Every other actuator has its default value.
+    - An imported variable is arbitrary: its first value is the exporter's. So is a robot's place among the exporter's
+      members."""
 
     state_name = "@launch"
 
@@ -57,7 +59,10 @@ class LaunchState:
         for record in program.records:
             self.records[record.type.name] = tuple([value(d, nowhere) for d in record.defaults])
         self.first: dict[Key, Val] = {("local", v.name): value(v.initial, nowhere) for v in program.locals}
-        for shared in program.shared:
+        imported = {name for each in program.imports for name in each.variables}
+        for each in program.imports:
+            del self.first["local", each.pid]
+        for shared in [v for v in program.shared if v.name not in imported]:
             self.first["slot" if shared.kind == "allread" else "cell", shared.name] = value(shared.initial, nowhere)
         self.ports = {name: port for name, _, port in ports(program)}
         self.held, self.cleared = held(program), clearable(program)
@@ -66,6 +71,8 @@ class LaunchState:
         if key in self.first:
             return self.first[key]
         name = key[1]
+        if key[0] != "port":
+            return self.sensed.of(key, robot)
         port = self.ports[name]
         if port.direction == "sensor":
             return t.TRUE if name in self.cleared else self.sensed.of(key, robot)
@@ -107,13 +114,15 @@ class InitRun:
 class StartState:
     """State after every robot has run `init`.
 
-    If several robots write the same allwrite variable, the variable has the value of the robot with the highest pid."""
+    If several robots write the same allwrite variable, the variable has the value of the robot with the highest pid.
+    What the `init` of another application may have changed, `moved`, is arbitrary."""
 
     state_name = "@ready"
 
-    def __init__(self, part_encoder: PartEncoder) -> None:
-        self.part_encoder, self.launch = part_encoder, LaunchState(part_encoder)
+    def __init__(self, part_encoder: PartEncoder, moved: frozenset[Key]) -> None:
+        self.part_encoder, self.launch, self.moved = part_encoder, LaunchState(part_encoder), moved
         self.types = part_encoder.problem.types
+        self.others = ArbitraryState(part_encoder.context, self.types, "@others")
         self.runs: dict[Term, InitRun] = {}
         self.cells: dict[Key, Val] = {}
 
@@ -126,6 +135,8 @@ class StartState:
         return found
 
     def of(self, key: Key, robot: Term) -> Val:
+        if key in self.moved:
+            return self.others.of(key, robot)
         before = self.launch.of(key, robot)
         if not self.part_encoder.problem.program.init:
             return before
