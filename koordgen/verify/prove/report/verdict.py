@@ -97,7 +97,7 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerd
         groups = {name: group for name, group in _groups(asked.outcomes).items() if name not in failed}
     failed.update({name: (group, program, question.interface) for name, group in asked.lost.items()})
     outcomes = asked.outcomes
-    contradiction, doubt = _consistency(outcomes, solver)
+    contradiction, doubt = consistency_of(outcomes, solver)
     explained = {} if contradiction else _explained(question, failed, solver, program, asked.dropped)
     found, ledger = [], Ledger(question.program)
     for name in names:
@@ -223,7 +223,7 @@ def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
     return list(found)
 
 
-def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
+def consistency_of(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
     """Return a contradiction among the assumptions, and a reason why consistency is undecided.
 
     Both values are texts. Both texts are empty if the assumptions are consistent."""
