@@ -38,16 +38,18 @@ from koordgen.lang.semantics.system import (
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.attack.states import States
 from koordgen.verify.prove.encode.loop import written
+from koordgen.verify.prove.obligations.guarantees import FIRST_VALUES, OTHERS, REFLEXIVE, TRANSITIVE
 from koordgen.verify.prove.obligations.interface import GuaranteeInScope, in_scope
 from koordgen.verify.prove.report.model import exact_all, guarantee_failure, is_allowed
 from koordgen.verify.prove.report.model_reader import Unshowable
+from koordgen.verify.prove.smt.obligation import Obligation
 
 SECONDS = 0.1  # default time budget in seconds
 ROBOTS = 3  # largest fleet of a run
 ROUNDS = 8  # length of a run, in rounds
 TRIES = 12  # attempts to draw the first state of a run
 SKIPS = 0.15  # probability that an instance takes no step in a round
-INIT, FIRST_VALUES = "init", "(first values)"
+INIT, ENVIRONMENT = "init", "(environment)"
 
 
 class SystemContradiction(NamedTuple):
@@ -82,6 +84,15 @@ class SystemAttack(NamedTuple):
             return 0, self.unjudged[application, name]
         count = self.judged.get((application, step), 0)
         return (count, "") if count else (0, self.reason or "no run made this step")
+
+    def of_obligation(self, application: int, obligation: Obligation) -> tuple[int, str]:
+        """Return the number of states in which an obligation was attacked, and the reason if it is 0."""
+        if obligation.kind in ("loop", "well-defined"):
+            return 0, "runs of several applications judge states, not operations and loops"
+        if obligation.event in (REFLEXIVE, TRANSITIVE):
+            return 0, "runs judge each write of a variable, not pairs of its values"
+        step = {"base": INIT, "interference": OTHERS}.get(obligation.kind, obligation.event)
+        return self.of(application, step, obligation.invariant)
 
 
 class _Contradicted(Exception):
@@ -241,7 +252,7 @@ class _Runs:
         after = applied_to_system(self.system, state, done)
         name = self.system.applications[acting].name
         self.steps.append(f"{event} of {name} on robot {instance.robot} in round {state.round}")
-        others = dict.fromkeys(range(len(self.system.applications)), "(other applications)")
+        others = dict.fromkeys(range(len(self.system.applications)), OTHERS)
         self.check(after, {**others, acting: event})
         for variable in (*outcome.cells, *outcome.slots):
             owner = self.system.owner(acting, variable)
@@ -304,8 +315,8 @@ class _Runs:
                     return None
         moved = state._replace(ports=tuple(ports))
         if moved.ports != state.ports:
-            self.steps.append("(environment)")
-            self.check(moved, dict.fromkeys(range(len(self.states)), "(environment)"))
+            self.steps.append(ENVIRONMENT)
+            self.check(moved, dict.fromkeys(range(len(self.states)), ENVIRONMENT))
         return moved
 
     def allowed(self, index: int, pid: int, state: State, new: Mapping[str, Value]) -> bool:

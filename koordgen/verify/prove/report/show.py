@@ -167,7 +167,13 @@ def _json(verdict: InvariantVerdict, attacks: Attacks) -> dict[str, Any]:
         for o in verdict.outcomes
     ]
     rests = [
-        {"kind": "invariant", "text": name, "file": "", "line": 0, "checked": "PROVED here"}
+        {
+            "kind": "guarantee" if name.startswith("guarantee ") else "invariant",
+            "text": name.removeprefix("guarantee "),
+            "file": "",
+            "line": 0,
+            "checked": "PROVED here",
+        }
         for name in verdict.rests_on
     ]
     return {
