@@ -10,6 +10,7 @@ import pytest
 from koordgen.verify.prove.smt.solve import Solver
 from tests.verify.prove.compositions.judging import contradiction, judged, proved
 from tests.verify.prove.compositions.mutants import MUTANTS
+from tests.verify.prove.compositions.randomly import random_composition
 from tests.verify.prove.compositions.systems import KNOWN
 from tests.verify.prove.mutants.mutants import LIMITS, planted
 
@@ -30,6 +31,31 @@ def test_the_verdicts_of_a_composition_are_known(name: str, solver: Solver) -> N
     found = judged(system, solver)
     assert proved(found) == set(filter(None, known.proved.split(", ")))
     assert contradiction(system, found) is None
+
+
+def check_random(seed: int, solver: Solver) -> None:
+    system = random_composition(seed)
+    found = judged(system, solver)
+    assert contradiction(system, found, 0.1, seed) is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_verdict_about_a_random_composition_is_contradicted(seed: int, solver: Solver) -> None:
+    check_random(seed, solver)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8, 500))
+def test_no_verdict_about_many_random_compositions_is_contradicted(seed: int, solver: Solver) -> None:
+    check_random(seed, solver)
+
+
+def test_random_compositions_have_verdicts_of_both_kinds(solver: Solver) -> None:
+    systems = [random_composition(seed) for seed in range(4)]
+    verdicts = [v for system in systems for part in judged(system, solver).applications for v in part.verdicts]
+    for kind in (True, False):
+        names = {v.verdict == "PROVED" for v in verdicts if v.invariant.startswith("guarantee ") is kind}
+        assert names == {True, False}
 
 
 def is_caught(name: str, solver: Solver) -> bool:
