@@ -371,17 +371,18 @@ def environment(problem: ProofProblem) -> list[Obligation]:
     return out.all(goals, (), ())
 
 
-def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obligation:
+def consistent(problem: ProofProblem, name: str, of_two: bool = False, robot: int = 0) -> Obligation:
     """Return an obligation that asks whether assumptions are satisfiable.
 
     `name`: selects the assumptions. "initially": those at the mission's start, about params, sensors, spec functions,
         contracts and answers of callable ports. "environment": those about a step of the environment from a state in
         which the invariants hold.
     `of_two`: ask about fleets of at least two robots. Assumptions that read `pid` may contradict one another for robot
-        1 although they agree for robot 0."""
+        1 although they agree for robot 0.
+    `robot`: the robot about which is asked first."""
     part_encoder = PartEncoder(problem, thorough=True)
     context = part_encoder.context
-    context.robot(t.integer(0), known=True)
+    context.robot(t.integer(robot), known=True)
     if of_two:
         context.fact(t.at_most(t.integer(2), context.size), "the fleet has at least two robots")
         context.robot(t.integer(1), known=True)

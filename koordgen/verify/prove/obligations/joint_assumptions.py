@@ -13,7 +13,7 @@ from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.ir.tree import map_children, walk
+from koordgen.lang.ir.tree import children, map_children, walk
 from koordgen.lang.ir.types import BOOL, INT, list_of
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.composition import System
@@ -29,17 +29,56 @@ LINES = 10_000_000
 
 
 def joint_obligations(system: System) -> Iterator[list[Obligation]]:
-    """Yield the obligations that the assumptions of several applications hold together, in groups."""
+    """Yield the obligations that the assumptions of several applications hold together, in groups.
+
+    Each obligation is about one robot. Facts about other robots are left out, unless a formula names them."""
     for group in connected(system):
-        program = merged(system, group)
-        for name in CONSISTENT:
-            t.forget()
-            t.count_anew()
-            try:
-                found = consistent(ProofProblem(program, system.robots, {}, "little"), name)
-            except t.EncodingTooLarge as error:
-                found = _too_large(program, system.robots, str(error))
-            yield [_located(system, group, replace(found, name=f"together-{name}"))]
+        for robot in representatives(system, group):
+            program = merged(system, group, robot)
+            problem = ProofProblem(program, system.robots, {}, "little")
+            problem.unrolled = False
+            for name in CONSISTENT:
+                t.forget()
+                t.count_anew()
+                try:
+                    found = consistent(problem, name, robot=robot)
+                except t.EncodingTooLarge as error:
+                    found = _too_large(program, system.robots, str(error))
+                yield [_located(system, group, replace(found, name=f"together-{name}-{robot}"))]
+
+
+def representatives(system: System, group: tuple[int, ...]) -> list[int]:
+    """Return robots that stand for all robots on which applications of a group meet.
+
+    Robots with the same applications are alike, unless an assumption depends on pids."""
+    formulas = [formula for index in group for formula in _assumed(system.applications[index].program)]
+    are_alike = not any(_depends_on_pid(formula, frozenset()) for formula in formulas)
+    found: dict[object, int] = {}
+    for robot in range(system.robots):
+        running = tuple([index for index in group if robot in system.applications[index].members])
+        if len(running) > 1:
+            found.setdefault(running if are_alike else robot, robot)
+    return list(found.values()) or [system.applications[group[0]].members[0]]
+
+
+def _depends_on_pid(node: Any, robots: frozenset[str]) -> bool:
+    """Return whether the truth of a formula for a robot depends on the robot's pid.
+
+    `robots`: variables that denote robots; as the index of a robot's variable they are no pid."""
+    match node:
+        case ir.Pid():
+            return True
+        case ir.TempRead(name):
+            return name in robots
+        case ir.Compare("==" | "!=", ir.TempRead(first), ir.TempRead(second)) if {first, second} <= robots:
+            return False
+        case ir.PortOf(_, _, ir.TempRead(name)) | ir.LocalOf(_, ir.TempRead(name)) | ir.SlotRead(_, ir.TempRead(name)):
+            return name not in robots
+        case ir.PortOf() | ir.LocalOf() | ir.SlotRead():
+            return True
+        case ir.Quantified(_, name, ir.Ids(), body):
+            return _depends_on_pid(body, robots | {name})
+    return any(_depends_on_pid(child, robots) for child in children(node))
 
 
 def _too_large(program: decl.Program, robots: int, reason: str) -> Obligation:
@@ -121,9 +160,11 @@ def owner_of_spec(system: System, index: int, name: str) -> tuple[int, str]:
 # One program with the assumptions of a group
 
 
-def merged(system: System, group: tuple[int, ...]) -> decl.Program:
-    """Return a program of all robots of the fleet with the assumptions and axioms of a group of applications."""
-    parts = [_Renamed(system, index, LINES * place).program() for place, index in enumerate(group)]
+def merged(system: System, group: tuple[int, ...], robot: int) -> decl.Program:
+    """Return a program of all robots of the fleet with the assumptions and axioms of a group of applications.
+
+    What `initially` says of all members of an application is said of one robot, if others run no such application."""
+    parts = [_Renamed(system, index, LINES * place, robot).program() for place, index in enumerate(group)]
     first = parts[0]
 
     def all_of(field: str) -> tuple[Any, ...]:
@@ -159,10 +200,12 @@ def _agreeing(modules: tuple[decl.Module, ...]) -> tuple[decl.Module, ...]:
 class _Renamed:
     """Renames what belongs to one application, and gives its pids the robots of the fleet.
 
-    `raised`: what is added to each line."""
+    `raised`: what is added to each line.
+    `place`: the robot about which is asked, by its place in the fleet."""
 
-    def __init__(self, system: System, index: int, raised: int) -> None:
-        self.system, self.index, self.raised = system, index, raised
+    def __init__(self, system: System, index: int, raised: int, place: int) -> None:
+        self.system, self.index, self.raised, self.place = system, index, raised, place
+        self.known: dict[str, int] = {}  # variable that denotes the robot at `place` -> its pid in the application
         self.application = system.applications[index]
         self.size = len(self.application.members)
         self.is_everywhere = self.application.members == tuple(range(system.robots))
@@ -238,6 +281,13 @@ class _Renamed:
                 return self.pid(span)
             case ir.NSys(_, span):
                 return ir.Const(self.size, INT, span)
+            case ir.Quantified("forall", name, ir.Ids(), body, _, span) if not self.is_everywhere:
+                if self.place not in self.application.members:
+                    return ir.Const(True, BOOL, span)
+                self.known[name] = self.application.members.index(self.place)
+                return self.moved(body)
+            case ir.TempRead(name, _, span) if name in self.known:
+                return ir.Const(self.known[name], INT, span)
             case ir.Ids(type_, span) if not self.is_everywhere:
                 return ir.Make(tuple([ir.Const(i, INT, span) for i in range(self.size)]), type_, span)
             case ir.ParamRead(name, _, span):

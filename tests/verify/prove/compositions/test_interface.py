@@ -171,10 +171,13 @@ def test_text_and_data_name_the_application_and_the_guarantee(solver: Solver) ->
 def test_each_file_names_its_application(solver: Solver, tmp_path: Path) -> None:
     found = prove_system(KNOWN["assumptions that agree"].system(), solver)
     files = files_of(found, lambda file, line: f"line {line} of {file}")
-    assert {"together-initially.smt2", "together-environment.smt2", "counter-Few-Go.smt2", "user-Few-Go.smt2"} <= set(
-        files
-    )
-    together = files["together-environment.smt2"].decode()
+    assert {
+        "together-initially-0.smt2",
+        "together-environment-0.smt2",
+        "counter-Few-Go.smt2",
+        "user-Few-Go.smt2",
+    } <= set(files)
+    together = files["together-environment-0.smt2"].decode()
     assert "(counter.koord:4: line 4 of counter.koord)" in together and "(user.koord:4:" in together
     broken = files_of(prove_system(lists(), solver), lambda *_: "")
     assert "lists.koord:4" in broken["reader-guarantee-lists-Kept-Add.smt2"].decode()
