@@ -8,8 +8,8 @@ application, so their names get the application's name as a prefix here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Collection, Iterator
+from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
@@ -47,18 +47,17 @@ def joint_obligations(system: System) -> Iterator[list[Obligation]]:
                 yield [_located(system, group, replace(found, name=f"together-{name}-{robot}"))]
 
 
-def representatives(system: System, group: tuple[int, ...]) -> list[int]:
+def representatives(system: System, group: JointGroup) -> list[int]:
     """Return robots that stand for all robots on which applications of a group meet.
 
     Robots with the same applications are alike, unless an assumption depends on pids."""
-    formulas = [formula for index in group for formula in _assumed(system.applications[index].program)]
-    are_alike = not any(_depends_on_pid(formula, frozenset()) for formula in formulas)
+    are_alike = not any(_depends_on_pid(formula, frozenset()) for _, formula in group.formulas)
     found: dict[object, int] = {}
     for robot in range(system.robots):
-        running = tuple([index for index in group if robot in system.applications[index].members])
+        running = tuple([index for index in group.applications if robot in system.applications[index].members])
         if len(running) > 1:
             found.setdefault(running if are_alike else robot, robot)
-    return list(found.values()) or [system.applications[group[0]].members[0]]
+    return list(found.values()) or [system.applications[group.applications[0]].members[0]]
 
 
 def _depends_on_pid(node: Any, robots: frozenset[str]) -> bool:
@@ -102,9 +101,9 @@ def _too_large(program: decl.Program, robots: int, reason: str) -> Obligation:
     )
 
 
-def _located(system: System, group: tuple[int, ...], obligation: Obligation) -> Obligation:
+def _located(system: System, group: JointGroup, obligation: Obligation) -> Obligation:
     """Return an obligation whose facts have the files and lines of the programs from which they come."""
-    paths = [system.applications[index].program.path for index in group]
+    paths = [system.applications[index].program.path for index in group.applications]
     facts = []
     for fact in obligation.facts:
         place, line = divmod(fact.line, LINES)
@@ -115,32 +114,68 @@ def _located(system: System, group: tuple[int, ...], obligation: Obligation) -> 
 # Which applications speak of the same things
 
 
-def connected(system: System) -> list[tuple[int, ...]]:
-    """Return the groups of two or more applications whose assumptions speak of the same things, by their indices."""
-    groups: list[tuple[set[int], set[object]]] = []
-    for index in range(len(system.applications)):
-        members, subjects = {index}, set(_subjects(system, index))
-        for group in [group for group in groups if group[1] & subjects]:
-            groups.remove(group)
-            members |= group[0]
-            subjects |= group[1]
-        groups.append((members, subjects))
-    return sorted(tuple(sorted(members)) for members, _ in groups if len(members) > 1)
+class JointGroup(NamedTuple):
+    """Assumptions and axioms of two or more applications that speak of the same things.
+
+    `applications`: their indices, ascending. `formulas`: the formulas, each with its application."""
+
+    applications: tuple[int, ...]
+    formulas: tuple[tuple[int, ir.Expr], ...]
 
 
-def _subjects(system: System, index: int) -> Iterator[object]:
-    """Yield what an application's assumptions speak of: ports of robots, spec functions, and imported variables.
+class _Cluster:
+    """Formulas that are connected by what they speak of."""
 
-    An exporter speaks of what it exports, because it gives the first values."""
+    def __init__(self) -> None:
+        self.applications: set[int] = set()
+        self.formulas: list[tuple[int, ir.Expr]] = []
+        self.subjects: set[tuple[Any, ...]] = set()
+
+
+def connected(system: System) -> list[JointGroup]:
+    """Return the groups of formulas of several applications that speak of the same things.
+
+    A formula that shares nothing with those of another application is left out: whether it contradicts others of its
+    own application is asked when that application is proved."""
+    clusters: list[_Cluster] = []
+    for index, application in enumerate(system.applications):
+        for formula in _assumed(application.program):
+            found = _Cluster()
+            found.applications, found.formulas = {index}, [(index, formula)]
+            found.subjects = set(_subjects(system, index, formula))
+            found.applications |= {subject[0] for subject in found.subjects if _is_variable(subject)}
+            for other in [cluster for cluster in clusters if cluster.subjects & found.subjects]:
+                clusters.remove(other)
+                found.applications |= other.applications
+                found.formulas += other.formulas
+                found.subjects |= other.subjects
+            clusters.append(found)
+    shared = [cluster for cluster in clusters if len(cluster.applications) > 1]
+    return [JointGroup(tuple(sorted(c.applications)), tuple(c.formulas)) for c in shared]
+
+
+def _is_variable(subject: tuple[Any, ...]) -> bool:
+    return len(subject) == 2
+
+
+def _subjects(system: System, index: int, formula: ir.Expr) -> Iterator[tuple[Any, ...]]:
+    """Yield what a formula of an application speaks of: ports of robots, spec functions, params and variables.
+
+    A shared variable belongs to the application that declares it, because that gives the first value."""
     application = system.applications[index]
-    yield from ((index, export.variable) for export in application.program.exports)
-    for node in walk(_assumed(application.program)):
-        if isinstance(node, (ir.PortRead, ir.PortOf, ir.PortCall)):
-            yield from ((robot, node.module, node.port) for robot in application.members)
-        if isinstance(node, ir.SharedRead) and system.owner(index, node.name) != index:
-            yield system.owner(index, node.name), node.name
-        if isinstance(node, ir.Call) and any(spec.name == node.name for spec in application.program.specs):
-            yield "spec", owner_of_spec(system, index, node.name)
+    for node in walk(formula):
+        match node:
+            case ir.PortRead(module, port) | ir.PortOf(module, port) | ir.PortCall(module, port):
+                yield from ((robot, module, port) for robot in application.members)
+            case ir.SharedRead(name) | ir.SlotRead(name) | ir.SlotsRead(name):
+                yield system.owner(index, name), name
+            case ir.LocalOf(name):
+                yield "local", index, name
+            case ir.ParamRead(name):
+                yield "param", index, name
+            case ir.Call(name) | ir.ExternCall(name):
+                is_spec = any(spec.name == name for spec in application.program.specs)
+                yield ("spec", *owner_of_spec(system, index, name)) if is_spec else ("function", index, name)
 
 
 def _assumed(program: decl.Program) -> tuple[ir.Expr, ...]:
@@ -160,11 +195,14 @@ def owner_of_spec(system: System, index: int, name: str) -> tuple[int, str]:
 # One program with the assumptions of a group
 
 
-def merged(system: System, group: tuple[int, ...], robot: int) -> decl.Program:
-    """Return a program of all robots of the fleet with the assumptions and axioms of a group of applications.
+def merged(system: System, group: JointGroup, robot: int) -> decl.Program:
+    """Return a program of all robots of the fleet with the assumptions and axioms of a group.
 
     What `initially` says of all members of an application is said of one robot, if others run no such application."""
-    parts = [_Renamed(system, index, LINES * place, robot).program() for place, index in enumerate(group)]
+    parts = [
+        _Renamed(system, index, LINES * place, robot).program([f for owner, f in group.formulas if owner == index])
+        for place, index in enumerate(group.applications)
+    ]
     first = parts[0]
 
     def all_of(field: str) -> tuple[Any, ...]:
@@ -211,15 +249,22 @@ class _Renamed:
         self.is_everywhere = self.application.members == tuple(range(system.robots))
         self.specs = {spec.name for spec in self.application.program.specs}
 
-    def program(self) -> decl.Program:
+    def program(self, formulas: Collection[ir.Expr]) -> decl.Program:
+        """Return the program with nothing but these of its assumptions and axioms, and what they read."""
+        wanted = {id(formula) for formula in formulas}
         program = self.application.program
         imported = {name for each in program.imports for name in each.variables}
         sizes, pids = {i.size for i in program.imports}, {i.pid for i in program.imports}
         modules = [
-            replace(m, assumptions=tuple([part for a in m.assumptions for part in self.assumptions(a)]))
+            replace(
+                m,
+                assumptions=tuple(
+                    [part for a in m.assumptions if id(a.formula) in wanted for part in self.assumptions(a)]
+                ),
+            )
             for m in program.modules
         ]
-        kept = [p for p in program.properties if p.kind in ("initially", "axiom")]
+        kept = [p for p in program.properties if id(p.formula) in wanted]
         own_specs = [s for s in program.specs if owner_of_spec(self.system, self.index, s.name)[0] == self.index]
         return replace(
             program,

@@ -72,7 +72,7 @@ MUTANTS: dict[str, Mutant] = {
         "((first, second), (second, third))", "((first, second), (first, third))"),
     "no two applications speak of the same things": Mutant(
         "A", WEAKER, joint_assumptions.connected, "assumptions that contradict one another",
-        "if len(members) > 1", "if len(members) > 9"),
+        "if len(cluster.applications) > 1", "if len(cluster.applications) > 9"),
     "the assumptions of one application are left out": Mutant(
         "A", WEAKER, joint_assumptions.merged, "assumptions that contradict one another",
         'modules=_agreeing(all_of("modules"))', "modules=first.modules"),
