@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from koordgen.lang.semantics.composition import Application, System
+from koordgen.verify.prove.obligations.count import expected
 from koordgen.verify.prove.obligations.generate import obligations
 from koordgen.verify.prove.obligations.interface import ALONE, in_scope
 from koordgen.verify.prove.report.composition import (
@@ -23,6 +25,7 @@ from koordgen.verify.prove.smt.obligation import OF_INTERFACE
 from koordgen.verify.prove.smt.smtlib import document
 from koordgen.verify.prove.smt.solve import Limits, Solver
 from tests.lang.semantics.compositions import compiled
+from tests.verify.prove.compositions.randomly import random_composition
 from tests.verify.prove.compositions.systems import KNOWN, SENSOR
 
 LISTS = """
@@ -105,6 +108,29 @@ def test_composing_adds_the_obligations_of_the_interface_only() -> None:
         "guarantee counter.Positive-Up": "guarantee",
         "Low-other-applications": "interference",
     }
+
+
+def made(system: System, index: int) -> tuple[Counter[str], Counter[str]]:
+    """Return the names of an application's obligations, and the names that a count from the IR alone expects."""
+    program, interface = in_scope(system, index)
+    kinds = ("base", "event", "environment", "loop", *OF_INTERFACE)
+    names = [o.name for o in obligations(program, None, None, "little", interface=interface) if o.kind in kinds]
+    return Counter(names), expected(program, interface=interface)
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_all_obligations_of_an_application_are_made(name: str) -> None:
+    for index in range(2):
+        found, counted = made(KNOWN[name].system(), index)
+        assert found == counted
+
+
+def test_all_obligations_of_random_compositions_are_made() -> None:
+    for seed in range(10):
+        system = random_composition(seed)
+        for index in range(len(system.applications)):
+            found, counted = made(system, index)
+            assert found == counted, f"seed {seed}, application {index}"
 
 
 def test_other_applications_do_not_change_the_proof_of_one() -> None:
