@@ -95,16 +95,17 @@ def check_file(path: str) -> Checked:
 def check_alone(program: Program) -> list[Diagnostic]:
     """Report each import and each guarantee of a program.
 
-    A program that runs alone has no exporter. No tool but the check knows guarantees, so a program with guarantees is
-    refused instead of leaving them unproved without a word.
+    A program that runs alone has no exporter. No tool but the check and the proof of a fleet knows guarantees, so a
+    program with guarantees is refused instead of leaving them unproved without a word.
     """
-    only = "cannot be built, proved or explored yet, only checked"
-    help = "remove the import, and declare its variables in this program"
+    only = "cannot be built, proved or explored alone"
+    fleet = "list it under `applications:` in a fleet file, and prove that with `koordgen prove fleet.yaml`"
+    help = f"{fleet}; or remove the import, and declare its variables in this program"
     found = [
         Diagnostic("B011", "error", f"{i.name}: a program with imports {only}", i.span, help=help)
         for i in program.imports
     ]
-    help = "remove the guarantee; if the formula holds in every state, declare it as an invariant instead"
+    help = f"{fleet}; or remove the guarantee: if the formula holds in every state, declare it as an invariant"
     return found + [
         Diagnostic("B011", "error", f"{g.name}: a program with guarantees {only}", g.span, help=help)
         for export in program.exports

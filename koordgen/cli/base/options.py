@@ -59,7 +59,7 @@ def build(command: Parser) -> None:
 
 def prove(command: Parser) -> None:
     """Options of `koordgen prove`."""
-    _program(command)
+    _program_or_fleet(command)
     question = command.add_argument_group("what to prove")
     many = "number of robots: `any`, a number, or a range such as 3..15 (default: any)"
     question.add_argument("--robots", metavar="N", type=values.robots, default="any", help=many)

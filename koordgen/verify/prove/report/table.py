@@ -42,6 +42,14 @@ def _step(found: Counterexample) -> str:
         return "a step of the environment, from a state in which all invariants hold"
     if found.kind == "base":
         return f"the state after init {place}".rstrip()
+    if found.kind == "interference":
+        return "a step of another application, from a state in which all invariants hold"
+    if found.kind == "guarantee" and found.pid is None:
+        return {
+            "(first values)": "the first values, before any init",
+            "(reflexive)": "a step that changes nothing",
+            "(transitive)": "two steps, one after the other, that both keep the guarantee",
+        }.get(found.event, f"the state after init {place}".rstrip())
     return f"{found.event} of robot {found.pid}, from a state in which all invariants hold"
 
 
