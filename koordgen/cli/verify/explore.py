@@ -34,17 +34,11 @@ from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.relations import is_order_of_agents
 from koordgen.lang.semantics.state import World, nobody
 from koordgen.lang.source import Source, Span
+from koordgen.verify.explore.breadth_first import ExplorationBounds, ExplorationProgress
 from koordgen.verify.explore.environment import Environment, EnvironmentSteps, MissingEnvironment, possible_answers
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import (
-    DEADLOCK,
-    ExplorationBounds,
-    ExplorationProgress,
-    ExplorationResult,
-    FoundViolation,
-    Search,
-)
+from koordgen.verify.explore.search import DEADLOCK, ExplorationResult, FoundViolation, Search
 from koordgen.verify.explore.show import document, itf, progress_text, report, trace
 from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.replay.functions import CannotCall, externs

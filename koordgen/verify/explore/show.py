@@ -10,14 +10,8 @@ from typing import Any
 from koordgen.lang.ir import decl
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.search import (
-    DEADLOCK,
-    LOOP,
-    WELL_DEFINED,
-    ExplorationProgress,
-    ExplorationResult,
-    FoundViolation,
-)
+from koordgen.verify.explore.breadth_first import ExplorationProgress
+from koordgen.verify.explore.search import DEADLOCK, LOOP, WELL_DEFINED, ExplorationResult, FoundViolation
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.table import (
     WIDTH,
