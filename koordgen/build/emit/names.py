@@ -44,7 +44,7 @@ class Names:
         self.extern_types = {t.name: self._mint(t.name) for t in program.extern_types}
         self.fields = {r.type.name: self._fields([name for name, _ in r.type.fields]) for r in program.records}
         self.params = {p.name: self._mint(f"PARAM_{snake(p.name).upper()}") for p in program.params}
-        self.locals = {v.name: self._mint(f"local_{v.name}") for v in program.locals}
+        self.locals = {v.name: self._mint(f"local_{v.name.replace('.', '_')}") for v in program.locals}
         self.shared = {v.name: self._mint(f"shared_{v.name}") for v in program.shared}
         self.ports = {
             (m.name, p.name): self._mint(f"{snake(m.name)}_{p.name}") for m in program.modules for p in m.ports
