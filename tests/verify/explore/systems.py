@@ -9,7 +9,9 @@ from random import Random
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
+from koordgen.lang.ir.ports import clearable
 from koordgen.lang.semantics.composition import Application, System
+from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.property import holds_assumption, holds_property
 from koordgen.lang.semantics.relations import instance_choices
 from koordgen.lang.semantics.state import State
@@ -23,7 +25,7 @@ from koordgen.lang.semantics.system import (
 )
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.explore.breadth_first import ExplorationBounds
-from koordgen.verify.explore.environment import Environment
+from koordgen.verify.explore.environment import Environment, SensorDomain
 from koordgen.verify.explore.system.environment import SystemEnvironmentSteps, answers
 from koordgen.verify.explore.system.machine import SystemMachine
 from koordgen.verify.explore.system.search import SystemResult, SystemSearch
@@ -31,6 +33,7 @@ from koordgen.verify.prove.report.model import failing_conjunct
 from tests.lang.semantics.compositions import NAMES, compiled, text
 
 NOTHING = Environment({}, {})
+COMMANDED = "(commanded)"  # mark among a robot's ports: its cleared sensors no longer stay true
 
 
 def search(system: System, around: Environment = NOTHING, rounds: int | None = None, **switches: Any) -> SystemSearch:
@@ -50,6 +53,12 @@ def explored(
 
 def key(system: System, state: SystemState) -> Hashable:
     """Return a key that tells states apart, except by the number of the round."""
+    ports = [{name: value for name, value in ports.items() if name != COMMANDED} for ports in state.ports]
+    return whole_key(state._replace(ports=tuple(ports)))
+
+
+def whole_key(state: SystemState) -> Hashable:
+    """Return a key that also distinguishes whether a robot has had a command."""
     stores = [(sorted(s.slots.items()), sorted(s.cells.items())) for s in state.stores]
     locals_ = [[sorted(own.items()) for own in of] for of in state.locals]
     return repr((locals_, state.stopped, stores, [sorted(ports.items()) for ports in state.ports]))
@@ -67,7 +76,7 @@ class Taken(NamedTuple):
 def steps(system: System, begun: SystemState) -> tuple[dict[Hashable, SystemState], list[Taken]]:
     """Return all states in a round from the state `begun`, and all steps: every order, choice and skip."""
     taken = list[Taken]()
-    pending = {(frozenset[int](), key(system, begun)): begun}
+    pending = {(frozenset[int](), whole_key(begun)): begun}
     queue = list(pending)
     for acted, name in queue:  # the loop body appends to `queue`
         state = pending[acted, name]
@@ -76,12 +85,20 @@ def steps(system: System, begun: SystemState) -> tuple[dict[Hashable, SystemStat
                 if step.event is None:
                     continue
                 after = applied_to_system(system, state, InstanceStep(number, step))
+                if isinstance(step.outcome, Writes) and step.outcome.ports:
+                    after = commanded(after, system.instances()[number].robot)
                 taken.append(Taken(state, number, step.event, after))
-                node = (acted | {number}, key(system, after))
+                node = (acted | {number}, whole_key(after))
                 if node not in pending:
                     pending[node] = after
                     queue.append(node)
     return {name: state for (_, name), state in pending.items()}, taken
+
+
+def commanded(state: SystemState, robot: int) -> SystemState:
+    """Return the state with the mark that the robot has had a command."""
+    ports = [{**held, COMMANDED: True} if robot == place else held for place, held in enumerate(state.ports)]
+    return state._replace(ports=tuple(ports))
 
 
 def started(system: System, around: Environment = NOTHING) -> Iterator[SystemState]:
@@ -100,10 +117,20 @@ def started(system: System, around: Environment = NOTHING) -> Iterator[SystemSta
 
 def starts(system: System, around: Environment) -> Iterator[tuple[Mapping[str, Value], ...]]:
     each = [
-        [dict(zip(names, values, strict=True)) for values in product(*[around.domains[n].values for n in names])]
-        for names in [sensors(system, robot) for robot in range(system.robots)]
+        [
+            dict(zip(names, values, strict=True))
+            for values in product(*[(True,) if n in unset(system, robot) else around.domains[n].values for n in names])
+        ]
+        for robot in range(system.robots)
+        for names in [sensors(system, robot)]
     ]
     yield from product(*each)
+
+
+def unset(system: System, robot: int) -> frozenset[str]:
+    """Return the sensors that commands of a robot's applications clear."""
+    programs = [application.program for application in system.applications if robot in application.members]
+    return frozenset[str]().union(*map(clearable, programs))
 
 
 def sensors(system: System, robot: int) -> list[str]:
@@ -123,11 +150,9 @@ def moved(system: System, state: SystemState, around: Environment) -> Iterator[S
     """Yield all states after the environment's step. All sensors may change as the assumptions allow."""
     each = []
     for robot, held in enumerate(state.ports):
-        names = sensors(system, robot)
-        news = [
-            {**held, **dict(zip(names, values, strict=True))}
-            for values in product(*[around.domains[name].values for name in names])
-        ]
+        names, still = sensors(system, robot), frozenset[str]() if COMMANDED in held else unset(system, robot)
+        pools = [(True,) if name in still else around.domains[name].values for name in names]
+        news = [{**held, **dict(zip(names, values, strict=True))} for values in product(*pools)]
         each.append([new for new in news if allowed(system, robot, held, new)])
     for ports in product(*each):
         yield state._replace(ports=tuple(ports))
@@ -156,7 +181,7 @@ class BruteForce(NamedTuple):
 
 def brute_force(system: System, rounds: int, around: Environment = NOTHING, most: int = 10**9) -> BruteForce | None:
     """Explore by the semantics. Return None if there are more than `most` states."""
-    layer = {key(system, state): state for state in started(system, around)}
+    layer = {whole_key(state): state for state in started(system, around)}
     found, broken = dict(layer), dict[tuple[int, str], int]()
     judge(system, layer.values(), 0, broken)
     for number in range(1, rounds + 1):
@@ -167,13 +192,13 @@ def brute_force(system: System, rounds: int, around: Environment = NOTHING, most
             for each in taken:
                 judge_step(system, each, number, broken)
             for end in ends.values():
-                following |= {key(system, m): m for m in moved(system, end, around)}
+                following |= {whole_key(m): m for m in moved(system, end, around)}
             if len(following) + len(found) > most:
                 return None
         judge(system, following.values(), number, broken)
         layer = {name: state for name, state in following.items() if name not in found}
         found |= layer
-    return BruteForce(set(found), broken)
+    return BruteForce({key(system, state) for state in found.values()}, broken)
 
 
 def judge(system: System, states: Any, number: int, broken: dict[tuple[int, str], int]) -> None:
@@ -252,3 +277,31 @@ def guarded(rng: Random, name: str, given: str, exporters: list[str]) -> str:
             options.append(f"forall i in ID: {exporters[0].title()}.pid[i] < 1 or {rng.choice(terms)} < 2")
         given += f"invariant Inv{number}: {rng.choice(options)}\n"
     return given
+
+
+def random_body_system(seed: int) -> tuple[System, Environment]:
+    """Return a composition on two robots whose applications share a body, with the values of its sensors.
+
+    The first application commands and the others read. They have an assumption each."""
+    rng = Random(seed)
+    assumed = ("level' <= level + 1", "level' >= level", "not reached' or level' > 0", "level' != 1 or level == 1")
+    applications = []
+    for index, name in enumerate(NAMES[: rng.randrange(2, 4)]):
+        ports = "  sensors:\n    int level\n    bool reached\n"
+        if not index:
+            ports += "  actuators: int goal at level clears reached\n"
+        lines = f"using Dev:\n{ports}  assume {rng.choice(assumed)}\nlocal: int k\nallwrite: int {name}_a\n"
+        values = ["k", "Dev.level", f"{name}_a", "pid", "1"]
+        targets = ["k", f"{name}_a", *([] if index else ["Dev.goal", "Dev.goal"])]
+        for number in range(2):
+            guard = rng.choice(("Dev.reached", "not Dev.reached", f"k <= {rng.choice(values)}"))
+            effects = [f"{rng.choice(targets)} = ({rng.choice(values)} + {rng.choice(values)}) % 2" for _ in range(2)]
+            head = "  eff:\n    atomic:\n      " if rng.random() < 0.5 else "  eff:\n    "
+            indent = head.rpartition("\n")[2]
+            lines += f"E{number}:\n  pre: {guard}\n{head}" + f"\n{indent}".join(effects) + "\n"
+        lines += f"invariant Inv: forall i in ID: Dev.reached[i] or k[i] <= {rng.choice(('Dev.level[i]', '1'))}\n"
+        lines += "initially: forall i in ID: Dev.level[i] <= 1\n"
+        members = sorted(rng.sample(range(2), rng.randrange(1, 3)))
+        applications.append(Application(name, compiled(name, lines), tuple(members)))
+    domains = {"Dev.level": SensorDomain((0, 1)), "Dev.reached": SensorDomain((False, True))}
+    return System(tuple(applications), 2), Environment(domains, {})
