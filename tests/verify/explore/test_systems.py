@@ -230,15 +230,27 @@ def test_a_deadlock_of_all_applications_is_found() -> None:
     assert explored(moving)[1].violation is None, "an application that goes on is no deadlock"
 
 
-def test_agents_run_the_first_event_of_each_application_and_one_commit_for_each_lock() -> None:
-    """The search for agents finds no violation that needs two commits on one lock in a round."""
-    system = building(few=3, more="More:\n  pre: len(done) > 1\n  eff: atomic: done.append(9)")
+def test_agents_commit_one_transaction_for_each_lock_of_the_system() -> None:
+    """Putting twice, by one application or by both, takes agents two rounds, because the applications share a lock."""
+    system = building(few=2, more="More:\n  pre: True\n  eff: atomic: done.append(9)")
     _, free = explored(system, deadlock=False)
-    assert free.violation is not None and names(free)[-1][0] == 1
+    assert names(free)[-1][0] == 1
     _, agents = explored(system, deadlock=False, as_agents=True)
-    assert agents.violation is not None and agents.violation.name == free.violation.name == "Few"
-    assert [event for _, event, _ in names(agents) if event != "Look"] == ["", "init", "Put", "Put", "More"]
-    assert names(agents)[-1][0] > 2
+    assert agents.violation is not None and agents.violation.name == "Few"
+    assert [number for number, event, _ in names(agents)[2:] if event in ("Put", "More")] == [1, 2]
+
+
+def test_transactions_of_two_applications_exclude_one_another() -> None:
+    """Each application takes its flag if the other is down. Agents read both at the round's start, under a lock."""
+    take = "Take:\n  pre: {} == 0\n  eff: atomic: {} = 1\n"
+    export = "export:\n  write int a\n  write int b\nallwrite:\n  int a\n  int b\n"
+    first = compiled("first", export + take.format("b", "a") + "invariant Mutex: a + b <= 1\n")
+    second = compiled("second", "import First:\n  write int a\n  write int b\n" + take.format("a", "b"))
+    bound = (("First", "first"),)
+    system = System((Application("first", first, (0,)), Application("second", second, (0,), bound)), 1)
+    for as_agents in (False, True):
+        _, result = explored(system, deadlock=False, as_agents=as_agents)
+        assert result.violation is None and not result.unseen
 
 
 DRIVES = """
@@ -263,18 +275,48 @@ invariant Here: forall i in ID: not away[i]
 """
 
 
-def test_the_applications_of_a_robot_see_the_same_ports() -> None:
+IDLE = "local: int k\nWait:\n  pre: k < 0\n  eff: k = 0\n"
+
+
+@pytest.mark.parametrize("independence", [True, False])
+def test_the_applications_of_a_robot_see_the_same_ports(independence: bool) -> None:
     """The reader sees in the next round that a command of the other application has cleared the sensor."""
-    first, second = compiled("drives", DRIVES), compiled("reads", READS)
-    system = System((Application("drives", first, (0,)), Application("reads", second, (0,))), 1)
+    first, second, third = compiled("drives", DRIVES), compiled("reads", READS), compiled("idle", IDLE)
+    members = (Application("drives", first, (0,)), Application("reads", second, (0,)), Application("idle", third, (0,)))
     around = Environment({"Motion.reached": SensorDomain((False, True))}, {})
-    _, result = explored(system, around, deadlock=False)
+    _, result = explored(System(members, 1), around, deadlock=False, independence=independence)
     assert result.violation is not None and result.violation.name == "Here"
     events = [(number, event, instance) for number, event, instance in names(result) if event]
     assert events[1] == (1, "Go", 0) and events[-1] == (2, "Look", 1), "not in the round of the command"
     other = System((Application("drives", first, (0,)), Application("reads", second, (1,))), 2)
-    _, result = explored(other, around, deadlock=False)
+    _, result = explored(other, around, deadlock=False, independence=independence)
     assert names(result)[-1] == (1, "Look", 1), "nobody commands robot 1, so its sensor is free"
+
+
+@pytest.mark.parametrize("independence", [True, False])
+def test_a_step_after_a_command_keeps_the_cleared_sensor(independence: bool) -> None:
+    drives = "export:\n  int sent\nallwrite: int sent\n" + DRIVES.replace("local: int sent\n", "")
+    reads = READS.replace("not Motion.reached", "Motion.reached").replace(
+        "forall i in ID: not away[i]", "sent == 0 or {}"
+    )
+    reads = "import Drives:\n  int sent\n" + reads.format("forall i in ID: not Motion.reached[i]")
+    first, second = compiled("drives", drives), compiled("reads", reads)
+    bound = (("Drives", "drives"),)
+    system = System((Application("drives", first, (0,)), Application("reads", second, (0,), bound)), 1)
+    around = Environment({"Motion.reached": SensorDomain((False,))}, {})
+    _, result = explored(system, around, deadlock=False, independence=independence)
+    assert result.violation is None and not result.unseen
+
+
+def test_a_transaction_of_an_importer_sees_writes_of_the_round() -> None:
+    first = compiled("first", "export:\n  int n\nallwrite: int n\nUp:\n  pre: n < 1\n  eff: n = 1\n")
+    second = compiled("second", "import First:\n  int n\nlocal: int got\nGet:\n  pre: got < 1\n"
+                                "  eff: atomic: got = n\ninvariant Old: forall i in ID: got[i] == 0\n")  # fmt: skip
+    bound = (("First", "first"),)
+    system = System((Application("first", first, (0,)), Application("second", second, (1,), bound)), 2)
+    for independence in (True, False):
+        _, result = explored(system, deadlock=False, independence=independence)
+        assert names(result)[2:] == [(1, "Up", 0), (1, "Get", 1)]
 
 
 def test_an_assumption_of_one_application_restricts_what_the_others_see() -> None:
@@ -315,12 +357,14 @@ def test_a_run_is_written_for_viewers() -> None:
 
 
 def test_a_guarantee_of_an_allread_variable_compares_the_slots_of_all_robots() -> None:
-    text = "export:\n  int n[N_SYS]\n    guarantee Led: n'[0] >= n'[N_SYS - 1] or n[0] > 0\nallread: int n[N_SYS]\n"
+    text = (
+        "export:\n  int n[N_SYS]\n    guarantee Led: not (n[N_SYS - 1] > 0 and n[0] < n'[0])\nallread: int n[N_SYS]\n"
+    )
     text += "Up:\n  pre: n[pid] < 1\n  eff: n[pid] = 1\n"
     system = System((Application("first", compiled("first", text), (0, 1)),), 2)
     for independence in (True, False):
         _, result = explored(system, deadlock=False, independence=independence)
-        assert names(result)[2:] == [(1, "Up", 1)]
+        assert names(result)[2:] == [(1, "Up", 1), (1, "Up", 0)]
 
 
 def test_limits_and_properties_without_a_meaning_are_reported() -> None:
