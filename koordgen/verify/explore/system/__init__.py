@@ -2,4 +2,5 @@
 
 Owns: packed states of a system, rounds of instances, guarantees, environment of robots with several applications.
 Offers: `search`, `show`.
+Must not import: audit, attack.
 """

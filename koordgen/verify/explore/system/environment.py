@@ -10,10 +10,12 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any
 
+from koordgen.fleet.yaml_reader import Report
 from koordgen.lang.ir import decl
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.values import Value
+from koordgen.lang.source import Source
 from koordgen.verify.explore.environment import (
     Environment,
     is_allowed,
@@ -21,13 +23,14 @@ from koordgen.verify.explore.environment import (
     possible_answers,
     seen_from_position,
 )
+from koordgen.verify.explore.environment_file import check_completeness, environment
 from koordgen.verify.explore.machine import Answer, Packed
 from koordgen.verify.explore.system.machine import SystemMachine
 from koordgen.verify.replay.functions import semantic_value
 
 
 def body(system: System) -> decl.Program:
-    """Return a program that declares all ports of all applications. It has no assumptions and no events."""
+    """Return a program that declares all ports of all applications, and their records, and nothing else."""
     found: dict[str, decl.Module] = {}
     for application in system.applications:
         for module in application.program.modules:
@@ -35,7 +38,24 @@ def body(system: System) -> decl.Program:
             ports = {} if known is None else {port.name: port for port in known.ports}
             ports |= {port.name: port for port in module.ports if port.name not in ports}
             found[module.name] = replace(known or module, ports=tuple(ports.values()), assumptions=())
-    return replace(system.applications[0].program, modules=tuple(found.values()))
+    records = {record.type.name: record for a in system.applications for record in a.program.records}
+    return replace(
+        system.applications[0].program, records=tuple(records.values()), modules=tuple(found.values()), params=(),
+        shared=(), locals=(), locks=(), events=(), properties=(), exports=(), imports=(),
+    )  # fmt: skip
+
+
+def system_environment(system: System, source: Source | None, report: Report) -> Environment | None:
+    """Return the environment that the file `source` describes for a system; None if the file has a mistake.
+
+    Its `robots` are places in the fleet file. Raises MissingEnvironment; see `environment` of one program."""
+    found = environment(body(system), system.robots, source, report)
+    if found is None:
+        return None
+    for application in system.applications:
+        for robot in application.members:
+            check_completeness(found.of(robot), application.program)
+    return found
 
 
 def answers(system: System, environment: Environment) -> list[Answer]:
