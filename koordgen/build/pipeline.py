@@ -98,7 +98,7 @@ def check_alone(program: Program) -> list[Diagnostic]:
     A program that runs alone has no exporter. No tool but the check knows guarantees, so a program with guarantees is
     refused instead of leaving them unproved without a word.
     """
-    only = "cannot be built, proved or explored yet, only checked"
+    only = "cannot be built, proved or explored alone"
     help = "remove the import, and declare its variables in this program"
     found = [
         Diagnostic("B011", "error", f"{i.name}: a program with imports {only}", i.span, help=help)

@@ -186,7 +186,11 @@ class Search(BreadthFirstSearch[FoundViolation]):
     def _deadlocked(self, fleet: Packed) -> FoundViolation:
         if self.forgetting:
             raise _Restart
-        return FoundViolation(DEADLOCK, 0, self._shown(self._run_to(fleet)), None, "no event is ever enabled again")
+        return FoundViolation(DEADLOCK, 0, self.run_to(fleet), None, "no event is ever enabled again")
+
+    def run_to(self, fleet: Packed) -> tuple[RunState, ...]:
+        """Return a run to a state at the end of a round, with states of the executable semantics."""
+        return self._shown(self._run_to(fleet))
 
     def _shown(self, run: Sequence[PackedRunState]) -> tuple[RunState, ...]:
         """Return a run with states of the executable semantics."""
