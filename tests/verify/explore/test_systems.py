@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+from random import Random
 
 import pytest
 
 from koordgen.lang.ir import decl
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.composition import Application, System
-from koordgen.lang.semantics.system import system_round
+from koordgen.lang.semantics.exec import Writes
+from koordgen.lang.semantics.system import initial_system, run_inits, system_round
 from koordgen.verify.explore.environment import Environment, SensorDomain
 from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED
 from koordgen.verify.explore.system.search import SystemResult
 from koordgen.verify.explore.system.show import document, itf, report
-from tests.lang.semantics.compositions import compiled
+from tests.lang.semantics.compositions import compiled, random_system
 from tests.lang.semantics.programs import compiled as alone
 from tests.lang.semantics.test_system import pair
 from tests.verify.explore import reference
@@ -26,6 +28,7 @@ from tests.verify.explore.systems import (
     guarded_system,
     key,
     random_body_system,
+    search,
     started,
 )
 
@@ -134,6 +137,41 @@ def test_many_rounds_of_agents_are_among_those_explored(part: int) -> None:
     for seed in range(1000 + 10 * part, 1010 + 10 * part):
         within(seed, 2, 3)
         within(seed, 3, 1)
+
+
+def follow(system: System, seed: int, rounds: int) -> int:
+    """Follow the rounds of a composition's agents with the explorer's steps. Return the number of steps.
+
+    In each round some instances skip. Each step must be a choice of the explorer, in the order of the effects."""
+    made, dice, taken = search(system), Random(seed), 0
+    (before,) = made.around.starts()
+    fleet = made.machine.packed(initial_system(system, before))
+    (fleet,) = made.machine.after_init(fleet)
+    state, _ = run_inits(system, initial_system(system))
+    for _ in range(rounds):
+        assert key(system, made.machine.state(fleet)) == key(system, state)
+        skipping = [number for number in range(len(system.instances())) if dice.random() < 0.2]
+        state, steps = system_round(system, state, skipping)
+        begun = fleet
+        for number, step in steps:
+            if isinstance(step.outcome, Writes):
+                phases = range(len(made.rounds._explorers[0].phases))
+                choices = [c for index in phases for c in made.rounds._choices(index, number, fleet, begun)]
+                (choice,) = [c for c in choices if made._event_name(number, c.event) == step.event]
+                fleet = made.machine.applied(fleet, number, begun[made.machine.own_places[number]], choice)
+                taken += 1
+    return taken
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_each_step_of_agents_is_a_choice_of_the_explorer(seed: int) -> None:
+    follow(random_system(seed), seed, 20)
+
+
+@pytest.mark.slow
+def test_many_steps_of_agents_are_choices_of_the_explorer() -> None:
+    taken = sum([follow(guarded_system(seed, robots, 7), seed, 20) for seed in range(1000, 1500) for robots in (2, 3)])
+    assert taken > 20_000
 
 
 @pytest.mark.parametrize("seed", range(6))
