@@ -23,7 +23,9 @@ from koordgen.verify.explore.system.environment import SystemEnvironmentSteps, a
 from koordgen.verify.explore.system.machine import SystemMachine
 from koordgen.verify.explore.system.search import SystemResult, SystemSearch
 from koordgen.verify.explore.system.show import document, itf, report
-from koordgen.verify.replay.functions import CannotCall
+from koordgen.verify.explore.system.trace import trace
+from koordgen.verify.prove.report.trace import RunOrigin
+from koordgen.verify.replay.functions import CannotCall, externs
 
 # options that do not apply to a fleet file with applications -> what takes their place
 _REFUSED: Mapping[str, tuple[str, str]] = {
@@ -31,7 +33,6 @@ _REFUSED: Mapping[str, tuple[str, str]] = {
     "fleet": ("--fleet", "leave it out: the fleet file is the argument"),
     "param": ("--param", "set params under `applications:` in the fleet file"),
     "functions": ("--functions", "put NAME_functions.py beside each program"),
-    "trace": ("--trace", "--itf and --format json write the run"),
 }
 
 
@@ -62,6 +63,8 @@ def explore_system(options: Namespace) -> int:
     else:
         sys.stdout.write(coloured_verdicts(report(result, system, options.program, names), sys.stdout))
         sys.stdout.flush()
+    if result.violation is not None and options.trace:
+        save(options.trace, trace(result.violation, system, names, _origins(options.program, checked, around)))
     if result.violation is not None and options.itf:
         save(options.itf, itf(result.violation, system, names))
     return status(result.violation is not None, result.stopped)
@@ -98,6 +101,15 @@ def _search(options: Namespace, checked: CheckedSystem, around: Environment) -> 
         raise Failure(WRONG, str(error), "the file belongs beside its program") from None
     finally:
         line.end()
+
+
+def _origins(fleet_path: str, checked: CheckedSystem, around: Environment) -> list[RunOrigin]:
+    """Return the answers of ports and extern functions of each application."""
+    given, files = answers(checked.system, around), _functions(fleet_path, checked)
+    return [
+        RunOrigin(answers=answer, externs=externs(application.program, file))
+        for application, answer, file in zip(checked.system.applications, given, files, strict=True)
+    ]
 
 
 def _functions(fleet_path: str, checked: CheckedSystem) -> list[Path]:

@@ -86,12 +86,17 @@ def test_a_fleet_file_with_applications(fleet: str, tmp_path: Path, capsys: pyte
     assert "deadlock after" in capsys.readouterr().out
     more = "Clear:\n  pre: len(done) > 1\n  eff: atomic: done = []\n"
     (tmp_path / "task.koord").write_text(TASK.replace("Look:", f"{more}Look:"))
-    run = tmp_path / "run.itf.json"
-    assert main(["explore", fleet, "--no-deadlock", "--format", "json", "--itf", str(run)]) == 3
+    run, trace = tmp_path / "run.itf.json", tmp_path / "run.jsonl"
+    assert main(["explore", fleet, "--no-deadlock", "--format", "json", "--itf", str(run), "--trace", str(trace)]) == 3
     told = json.loads(capsys.readouterr().out)["violation"]
     assert (told["application"], told["what"], told["rounds"], told["shortest"]) == ("building", "Kept", 3, 1)
     assert told["order_of_agents"] and told["run"][-1]["application"] == "task" and told["run"][-1]["robot"] == "bob"
     assert json.loads(run.read_text())["states"][-1]["application"] == "task"
+    header, *records, end = map(json.loads, trace.read_text().splitlines())
+    assert header["applications"] == ["building", "task"] and end["application"] == "building"
+    acted = [(r["event"], r["application"], r["pid"]) for r in records if r.get("event") not in (None, "init")]
+    assert {r["skipped"] for r in records} == {None, "another robot's step", "another application's step"}
+    assert acted[-1] == ("Clear", "task", 1) and {("Put", "building")} <= {each[:2] for each in acted}
 
 
 def test_a_fleet_file_with_one_application_is_its_program(
@@ -105,7 +110,7 @@ def test_a_fleet_file_with_one_application_is_its_program(
     assert told.partition("0.0")[0] == capsys.readouterr().out.partition("0.0")[0]
 
 
-@pytest.mark.parametrize("option", ["--robots=2", "--param=most=3", "--trace=t.jsonl", "--functions=f.py"])
+@pytest.mark.parametrize("option", ["--robots=2", "--param=most=3", "--functions=f.py"])
 def test_options_of_one_program_are_refused_with_applications(
     fleet: str, option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
