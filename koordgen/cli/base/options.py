@@ -84,7 +84,7 @@ def prove(command: Parser) -> None:
 
 def explore(command: Parser) -> None:
     """Options of `koordgen explore`."""
-    _program(command)
+    _program_or_fleet(command)
     fleet = command.add_argument_group("fleet")
     many = f"number of robots, 1 to {values.MOST_ROBOTS} (default: that of the fleet file; without one, 3)"
     fleet.add_argument("--robots", metavar="N", type=values.fleet_size, help=many)

@@ -390,10 +390,14 @@ def _seen(
     )
 
 
-def failing_conjunct(property_: decl.Property, program: decl.Program, state: State) -> Conjunct | None:
-    """Return the conjunct that makes a property false in a state; None if the property holds."""
+def failing_conjunct(
+    property_: decl.Property | decl.Guarantee, program: decl.Program, state: State, temps: Mapping[str, Value] = {}
+) -> Conjunct | None:
+    """Return the conjunct that makes a property false in a state; None if the property holds.
+
+    `temps`: for a guarantee, the values of its variable before and after a write."""
     view = library(program, len(state.robots), state.params, NOTHING, Budget(), no_port)
-    view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
+    view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots, temps=temps)
     return _failing_conjunct(property_.formula, view)
 
 
