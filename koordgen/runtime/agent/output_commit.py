@@ -28,13 +28,14 @@ class _Waiting:
 
 
 class OutputCommit:
-    """Queue of the records of rounds that are not committed yet.
+    """Queue of the records of one instance's rounds that are not committed yet.
 
     lives: private states to which the robot may have to roll back, by ascending round; the first state is committed.
     first: first round whose outputs wait; None if no outputs wait.
     """
 
-    def __init__(self, life: Life) -> None:
+    def __init__(self, life: Life, instance: int) -> None:
+        self._instance = instance
         self._waiting: deque[_Waiting] = deque()
         self._commit: _Waiting | None = None  # transaction whose result is unknown
         self.lives = [life]
@@ -81,7 +82,7 @@ class OutputCommit:
             return None
         self._commit = None
         waiting.lock = -1
-        if state.won == waiting.record.round:
+        if state.won.get(self._instance) == waiting.record.round:
             if waiting.life is not None:
                 self.lives.append(waiting.life)
             return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Any
 
 import msgspec
@@ -58,6 +58,7 @@ class EndedAtOnce(BaseException):
     KeyboardInterrupt is not used, because user code may raise it."""
 
 
+NO_VALUES: Mapping[str, Any] = MappingProxyType({})
 _UNLIMITED = nullcontext()
 
 
@@ -114,11 +115,15 @@ class EventResult(msgspec.Struct, frozen=True):
 
 
 class Runner:
-    """Runner of one program on one robot. The caller updates `locals` when the effects of an event count."""
+    """Runner of one program on one robot. The caller updates `locals` when the effects of an event count.
 
-    def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
+    given: values of local variables that replace their initial values."""
+
+    def __init__(
+        self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit, given: Mapping[str, Any] = NO_VALUES
+    ) -> None:
         self.program = program
-        self.locals: Mapping[str, Any] = {v.name: v.initial() for v in program.locals}
+        self.locals: Mapping[str, Any] = {v.name: v.initial() for v in program.locals} | dict(given)
         self._pid = pid
         self._n_sys = n_sys
         self._clock = clock

@@ -1,0 +1,97 @@
+"""Monitors of all instances of a robot: one `Monitors` for each application that the robot runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, Protocol
+
+from msgspec.structs import replace
+
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.monitor.monitor import Cpu, Monitors
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.program import Effects
+from koordgen.runtime.program.property import Properties
+from koordgen.runtime.program.runner import Limit
+from koordgen.runtime.trace.monitored import Change
+from koordgen.runtime.trace.writer import RoundRecord
+from koordgen.runtime.vehicle.safety import GO, SafetyVerdict
+
+
+class ReportChange(Protocol):
+    """Function that reports a change of a verdict. `application`: its application; "" if the fleet has only one."""
+
+    def __call__(self, change: Change, application: str) -> None: ...
+
+
+class RobotMonitors:
+    """Monitors of a robot's instances, in the order of the instances.
+
+    found: properties of the only application, or of each application by its name.
+    The other parameters are those of Monitors. An application's monitors know its members as the fleet.
+    """
+
+    def __init__(
+        self,
+        fleet: FleetProgram,
+        found: Mapping[str, Properties] | Properties | None,
+        settings: Settings,
+        report: ReportChange,
+        limit: Limit,
+        cpu: Cpu | None = None,
+    ) -> None:
+        self._all: list[Monitors] = []
+        self._by_name: dict[str, Monitors] = {}
+        for instance in fleet.of_robot(settings.pid):
+            application = fleet.applications[instance.application]
+            own = found.get(application.name) if isinstance(found, Mapping) else found
+            peers = tuple([settings.peers[robot] for robot in application.members])
+            seen = replace(settings, pid=instance.pid, peers=peers) if fleet.is_composed else settings
+            name = application.name if fleet.is_composed else ""
+            monitors = Monitors(own, seen, partial(report, application=name), limit, cpu)
+            self._all.append(monitors)
+            self._by_name[name] = monitors
+
+    @property
+    def wanted(self) -> list[bool]:
+        """For each instance, True if a property needs observations of its rounds."""
+        return [monitors.wanted for monitors in self._all]
+
+    @property
+    def looks(self) -> list[Callable[[Any], None]]:
+        """For each instance, the function that evaluates its invariants; see Monitors.look."""
+        return [monitors.look for monitors in self._all]
+
+    @property
+    def verdict(self) -> SafetyVerdict:
+        """Reaction that violated properties require; a safe stop goes before a hold."""
+        verdicts = {monitors.verdict.action: monitors.verdict for monitors in reversed(self._all)}
+        return verdicts.get("stop") or verdicts.get("hold") or GO
+
+    def hear(self, record: RoundRecord) -> None:
+        """Evaluate assumptions and contracts on the record of a committed round; see Monitors.hear."""
+        self._by_name[record.application].hear(record)
+
+    def ran(self, place: int, effects: Effects, event: str | None, round_: int, time: float) -> None:
+        """Update the verdicts on loop invariants of the robot's instance number `place`; see Monitors.ran."""
+        self._all[place].ran(effects, event, round_, time)
+
+    def report(self) -> dict[str, Any]:
+        """Return the number of properties with each verdict, and the violated properties, of all instances.
+
+        With several applications, each violated property has the key `application`."""
+        counts: dict[str, int] = {}
+        violated: list[dict[str, Any]] = []
+        for name, monitors in self._by_name.items():
+            found = monitors.report()
+            for outcome, count in found["counts"].items():
+                counts[outcome] = counts.get(outcome, 0) + count
+            violated += [{**each, "application": name} if name else each for each in found["violated"]]
+        return {"counts": counts, "violated": violated}
+
+    def summary(self) -> tuple[bool, str]:
+        """Return whether a property was ever violated, and a text with all verdicts; "" without properties."""
+        found = [(name, *monitors.summary()) for name, monitors in self._by_name.items()]
+        texts = [f"{name}: {text}" if name else text for name, _, text in found if text]
+        return any(broken for _, broken, _ in found), "; ".join(texts)
