@@ -51,7 +51,7 @@ class AgentInstance:
         """Return an instance of a fleet's application. `driven`: modules that drivers serve, not the vehicle."""
         application = fleet.applications[instance.application]
         program, n_sys = application.program, len(application.members)
-        runner = Runner(program, instance.pid, n_sys, clock, limit, fleet.constants(instance))
+        runner = Runner(program, instance.pid, n_sys, clock, limit, fleet.constants(instance), application.locks)
         made = cls(runner, instance.number, clock.now)
         if fleet.is_composed:
             made.application, made.share = application.name, application.share
