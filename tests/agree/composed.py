@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
 from types import ModuleType
 from typing import Any
+
+import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from koordgen.build.emit.program import program_text
 from koordgen.build.emit.system import applications_text, module_of, with_sizes
 from koordgen.lang.semantics.composition import System
+from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes
-from koordgen.lang.semantics.system import SystemState, initial_system, run_inits, system_round, view
+from koordgen.lang.semantics.system import InstanceStep, SystemState, initial_system, run_inits, system_round, view
+from koordgen.runtime.net.layout import Contribution, Layout
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.runner import FAULT, LOST_CONTENTION, NO_EVENT, STOPPED, name_of
+from koordgen.runtime.replication import state_machine
 from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 
@@ -38,61 +45,103 @@ def fleet_program(system: System) -> FleetProgram:
     return fleet
 
 
-class ComposedAgents:
-    """Agents of all robots, after so many rounds: `records[application][pid][round]`, with `init` left out."""
+@contextmanager
+def counting(counted: dict[int, set[int]]) -> Iterator[None]:
+    """Record the instances whose events count in each round, as the robots apply the rounds."""
+    merge = state_machine.merge
 
-    def __init__(self, system: System, rounds: int, seed: int = 1, conditions: Conditions = QUIET) -> None:
+    def merged(layout: Layout, events: Sequence[Contribution], round_: int, *more: Any) -> Any:
+        counted[round_] = {event.instance for event in events if event.acted}
+        return merge(layout, events, round_, *more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(state_machine, "merge", merged)
+        yield
+
+
+class ComposedAgents:
+    """Agents of all robots of a composition, and the events that the fleet counted.
+
+    records: record of each instance (by its number) and round.
+    counted: for each round, the instances whose events counted.
+    """
+
+    def __init__(self, system: System, seed: int = 1, conditions: Conditions = QUIET) -> None:
         self.system, self.program = system, fleet_program(system)
         self.fleet = Fleet(n=system.robots, seed=seed, program=self.program, conditions=conditions)
+        self.records: dict[tuple[int, int], RoundRecord] = {}
+        self.counted: dict[int, set[int]] = {}
         for robot in range(system.robots):
-            self.fleet.boot(robot, FakePlatform(Point()))
-        self.fleet.run(60 + rounds * self.fleet.delta, until=lambda: self._recorded(rounds))
-        assert self._recorded(rounds), [robot.lines[-3:] for robot in self.fleet.robots.values()]
-        self.records = [
-            [self._of(application.name, robot) for robot in application.members] for application in system.applications
-        ]
+            self.boot(robot)
 
-    def _of(self, name: str, robot: int) -> dict[int, RoundRecord]:
-        own = name if self.program.is_composed else ""
-        return {r.round: r for r in self.fleet.robots[robot].records if r.application == own}
+    def boot(self, robot: int) -> None:
+        """Start or restart a robot's agent."""
+        self.fleet.boot(robot, FakePlatform(Point()))
+        numbers = {
+            self.program.applications[i.application].name if self.program.is_composed else "": i.number
+            for i in self.program.of_robot(robot)
+        }
+        watch = partial(self._keep, numbers)
+        self.fleet.robots[robot].agent._journal.watch(watch)
 
-    def _recorded(self, rounds: int) -> bool:
-        return all(
-            (robot.agent.done or robot.agent.round > rounds + 3) if not self.program.of_robot(place)
-            else robot.agent.done or (robot.records and robot.records[-1].round > rounds + 1)
-            for place, robot in self.fleet.robots.items()
-        )  # fmt: skip
+    def _keep(self, numbers: Mapping[str, int], record: RoundRecord) -> None:
+        self.records[numbers[record.application], record.round] = record
+
+    def kill(self, robot: int) -> None:
+        """End a robot's agent at once, as if its process had died."""
+        self.fleet.robots[robot].agent.done = True
+
+    def run(self, rounds: int) -> ComposedAgents:
+        """Run until each robot has recorded so many rounds. A robot without instances records nothing."""
+
+        def has_recorded(robot: int) -> bool:
+            own = [i.number for i in self.program.of_robot(robot)]
+            agent = self.fleet.robots[robot].agent
+            return agent.done or (agent.round > rounds and all((number, rounds) in self.records for number in own))
+
+        with counting(self.counted):
+            self.fleet.run(60 + rounds * self.fleet.delta, until=lambda: all(map(has_recorded, self.fleet.robots)))
+        assert all(map(has_recorded, self.fleet.robots)), [r.lines[-3:] for r in self.fleet.robots.values()]
+        return self
 
     def follow(self, rounds: int) -> Counter[str]:
-        """Compare each event with that of the semantics. Count how the rounds of all instances ended.
+        """Compare each event with that of the semantics. Return how often each kind of end of a round occurred.
 
-        An instance that the runtime made skip a round takes no step in the semantics either."""
+        An instance that the runtime made skip a round takes no step in the semantics either. Without a record, because
+        the agent was killed, the event of an instance took place if the other robots counted it."""
         state, _ = run_inits(self.system, initial_system(self.system))
         seen = Counter[str]()
+        numbers = range(len(self.system.instances()))
         for round_ in range(1, rounds + 1):
-            records = [r.get(round_) for of_members in self.records for r in of_members]
-            seen.update("event" if r is None or r.skipped is None else name_of(r.skipped) for r in records)
-            skipping = {k for k, r in enumerate(records) if r is None or (r.skipped and name_of(r.skipped) not in RAN)}
+            records = [self.records.get((number, round_)) for number in numbers]
+            counted = self.counted.get(round_, set())
+            skipping = {
+                number
+                for number, r in enumerate(records)
+                if (number not in counted if r is None else r.skipped is not None and name_of(r.skipped) not in RAN)
+            }
+            seen.update("none" if r is None else name_of(r.skipped or "event") for r in records)
             self._compare_stores(state, records, round_)
             state, steps = system_round(self.system, state, skipping)
+            ran = {step.instance for step in steps if isinstance(step.step.outcome, Writes)}
+            assert ran == counted, (round_, ran, counted, [r and (r.event, r.skipped) for r in records])
             for step in steps:
-                record, outcome = records[step.instance], step.step.outcome
-                if record is None or step.instance in skipping:
-                    continue
-                ran = record.effects
-                assert (ran is not None) == isinstance(outcome, Writes), (round_, step, record)
-                if ran is not None and isinstance(outcome, Writes):
-                    assert record.event == step.step.event, (round_, step, record)
-                    added = {i.pid for i in self._program(step.instance).imports}
-                    assert {k: v for k, v in ran.locals.items() if k not in added} == {
-                        k: v for k, v in outcome.locals.items() if k not in added
-                    }, (round_, step, record)  # fmt: skip
-                    assert dict(ran.shared) == {**outcome.slots, **outcome.cells}, (round_, step, record)
-                    assert ran.stopped == outcome.stopped
+                record = records[step.instance]
+                if record is not None and step.instance not in skipping:
+                    self._compare(record, step)
         return seen
 
-    def _program(self, number: int) -> Any:
-        return self.system.applications[self.system.instances()[number].application].program
+    def _compare(self, record: RoundRecord, step: InstanceStep) -> None:
+        """Compare the record of an instance with its step by the semantics."""
+        effects, outcome = record.effects, step.step.outcome
+        assert (effects is not None) == isinstance(outcome, Writes), (step, record)
+        assert (record.skipped == FAULT) == (isinstance(outcome, Discarded)), (step, record)
+        if effects is None or not isinstance(outcome, Writes):
+            return
+        assert record.event == step.step.event, (step, record)
+        assert effects.locals == outcome.locals, (step, record)
+        assert effects.shared == {**outcome.slots, **outcome.cells}, (step, record)
+        assert effects.stopped == outcome.stopped, (step, record)
 
     def _compare_stores(self, state: SystemState, records: list[RoundRecord | None], round_: int) -> None:
         """Each instance that ran an event saw the semantics' view of the state at the round's start."""
