@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -19,16 +19,16 @@ from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.system import InstanceStep, SystemState, initial_system, run_inits, system_round, view
-from koordgen.runtime.net.layout import Contribution, Layout
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.runner import FAULT, LOST_CONTENTION, NO_EVENT, STOPPED, name_of
-from koordgen.runtime.replication import state_machine
+from koordgen.runtime.replication.log import Logged
+from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import RoundRecord
 from koordgen.runtime.values.points import Point
 
 QUIET = Conditions(delay=0.001, jitter=0.004)
-RAN = {None, NO_EVENT, FAULT, STOPPED, LOST_CONTENTION}  # how a round ends that the runtime did not make a robot skip
+RAN = {"", NO_EVENT, FAULT, STOPPED, LOST_CONTENTION}  # how a round ends that the runtime did not make a robot skip
 
 
 def fleet_program(system: System) -> FleetProgram:
@@ -45,17 +45,26 @@ def fleet_program(system: System) -> FleetProgram:
     return fleet
 
 
-@contextmanager
-def counting(counted: dict[int, set[int]]) -> Iterator[None]:
-    """Record the instances whose events count in each round, as the robots apply the rounds."""
-    merge = state_machine.merge
+class Applied(NamedTuple):
+    """Instances whose events reached the other robots in a round, and those whose events counted."""
 
-    def merged(layout: Layout, events: Sequence[Contribution], round_: int, *more: Any) -> Any:
-        counted[round_] = {event.instance for event in events if event.acted}
-        return merge(layout, events, round_, *more)
+    arrived: frozenset[int] = frozenset()
+    counted: frozenset[int] = frozenset()
+
+
+@contextmanager
+def observing(rounds: dict[int, Applied]) -> Iterator[None]:
+    """Record the events of each round as the robots apply it. After a view change, the last result counts."""
+    apply = StateMachine._apply
+
+    def applied(state: StateMachine, entries: Sequence[Logged], through: int) -> None:
+        apply(state, entries, through)
+        arrived = frozenset([e.instance for logged in entries for e in logged.events if e.acted])
+        counted = [number for number in arrived if state.acted[number] == through]
+        rounds[through] = Applied(arrived, frozenset(counted))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(state_machine, "merge", merged)
+        patch.setattr(StateMachine, "_apply", applied)
         yield
 
 
@@ -63,14 +72,14 @@ class ComposedAgents:
     """Agents of all robots of a composition, and the events that the fleet counted.
 
     records: record of each instance (by its number) and round.
-    counted: for each round, the instances whose events counted.
+    applied: the events of each round as the robots applied it.
     """
 
     def __init__(self, system: System, seed: int = 1, conditions: Conditions = QUIET) -> None:
         self.system, self.program = system, fleet_program(system)
         self.fleet = Fleet(n=system.robots, seed=seed, program=self.program, conditions=conditions)
         self.records: dict[tuple[int, int], RoundRecord] = {}
-        self.counted: dict[int, set[int]] = {}
+        self.applied: dict[int, Applied] = {}
         for robot in range(system.robots):
             self.boot(robot)
 
@@ -99,7 +108,7 @@ class ComposedAgents:
             agent = self.fleet.robots[robot].agent
             return agent.done or (agent.round > rounds and all((number, rounds) in self.records for number in own))
 
-        with counting(self.counted):
+        with observing(self.applied):
             self.fleet.run(60 + rounds * self.fleet.delta, until=lambda: all(map(has_recorded, self.fleet.robots)))
         assert all(map(has_recorded, self.fleet.robots)), [r.lines[-3:] for r in self.fleet.robots.values()]
         return self
@@ -114,22 +123,25 @@ class ComposedAgents:
         numbers = range(len(self.system.instances()))
         for round_ in range(1, rounds + 1):
             records = [self.records.get((number, round_)) for number in numbers]
-            counted = self.counted.get(round_, set())
-            skipping = {
-                number
-                for number, r in enumerate(records)
-                if (number not in counted if r is None else r.skipped is not None and name_of(r.skipped) not in RAN)
-            }
+            applied = self.applied.get(round_, Applied())
+            skipping = {number for number in numbers if self._is_skipped(number, records[number], applied)}
             seen.update("none" if r is None else name_of(r.skipped or "event") for r in records)
             self._compare_stores(state, records, round_)
             state, steps = system_round(self.system, state, skipping)
             ran = {step.instance for step in steps if isinstance(step.step.outcome, Writes)}
-            assert ran == counted, (round_, ran, counted, [r and (r.event, r.skipped) for r in records])
+            assert ran == applied.counted, (round_, ran, applied, [r and (r.event, r.skipped) for r in records])
             for step in steps:
                 record = records[step.instance]
                 if record is not None and step.instance not in skipping:
                     self._compare(record, step)
         return seen
+
+    def _is_skipped(self, number: int, record: RoundRecord | None, applied: Applied) -> bool:
+        """Return whether the runtime made an instance skip a round, or its event never reached the others."""
+        if record is None:
+            return number not in applied.arrived
+        why = name_of(record.skipped or "")
+        return why not in RAN or (why == LOST_CONTENTION and number not in applied.arrived)
 
     def _compare(self, record: RoundRecord, step: InstanceStep) -> None:
         """Compare the record of an instance with its step by the semantics."""

@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.runner import FAULT, LOST_CONTENTION, NO_EVENT, STOPPED
-from tests.agree.composed import ComposedAgents, counting
+from tests.agree.composed import ComposedAgents, observing
 from tests.lang.semantics.compositions import random_system
 
 ROUNDS = 20
@@ -42,7 +42,7 @@ def killed(seed: int, rounds: int = 45) -> None:
     """An agent dies at some time and starts again at some time."""
     agents, rng = ComposedAgents(random_system(seed), seed), Random(seed)
     robot = rng.randrange(3)
-    with counting(agents.counted):
+    with observing(agents.applied):
         agents.fleet.run_rounds(rng.randrange(3, 8))
         agents.fleet.run(rng.random() * agents.fleet.delta)
         agents.kill(robot)

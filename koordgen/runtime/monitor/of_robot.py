@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any, Protocol
 
@@ -29,6 +29,7 @@ class RobotMonitors:
     """Monitors of a robot's instances, in the order of the instances.
 
     found: properties of the only application, or of each application by its name.
+    looks: for each instance, the function that evaluates its invariants; see Monitors.look.
     The other parameters are those of Monitors. An application's monitors know its members as the fleet.
     """
 
@@ -52,6 +53,7 @@ class RobotMonitors:
             monitors = Monitors(own, seen, partial(report, application=name), limit, cpu)
             self._all.append(monitors)
             self._by_name[name] = monitors
+        self.looks = tuple([monitors.look for monitors in self._all])
 
     @property
     def wanted(self) -> list[bool]:
@@ -59,15 +61,14 @@ class RobotMonitors:
         return [monitors.wanted for monitors in self._all]
 
     @property
-    def looks(self) -> list[Callable[[Any], None]]:
-        """For each instance, the function that evaluates its invariants; see Monitors.look."""
-        return [monitors.look for monitors in self._all]
-
-    @property
     def verdict(self) -> SafetyVerdict:
         """Reaction that violated properties require; a safe stop goes before a hold."""
-        verdicts = {monitors.verdict.action: monitors.verdict for monitors in reversed(self._all)}
-        return verdicts.get("stop") or verdicts.get("hold") or GO
+        found = GO
+        for monitors in self._all:
+            verdict = monitors.verdict
+            if verdict is not GO and found.action != "stop" and (found is GO or verdict.action == "stop"):
+                found = verdict
+        return found
 
     def hear(self, record: RoundRecord) -> None:
         """Evaluate assumptions and contracts on the record of a committed round; see Monitors.hear."""

@@ -57,23 +57,22 @@ class Author:
 
     number, application, pid: see RobotInstance.
     indices: name in its program -> index of the variable, of those that the instance may write.
-    locks: locks that its events may want, and -1; None: any.
+    allowed: these indices; None: all.
+    locks: locks that its events may want; None: any.
     """
 
-    __slots__ = ("_allowed", "application", "indices", "locks", "number", "pid")
+    __slots__ = ("allowed", "application", "indices", "locks", "number", "pid")
 
     def __init__(self, number: int, application: int, pid: int, access: Access, variables: int) -> None:
         self.number, self.application, self.pid = number, application, pid
         self.indices = access.indices
-        self.locks = None if access.locks is None else access.locks | {-1}
+        self.locks = access.locks
         allowed = frozenset(access.indices.values())
-        self._allowed = None if len(allowed) == variables else allowed  # None: every variable
-
-    def may_write(self, index: int) -> bool:
-        return self._allowed is None or index in self._allowed
+        self.allowed = None if len(allowed) == variables else allowed
 
     def may_want(self, lock: int) -> bool:
-        return self.locks is None or lock in self.locks
+        """Return whether an event of the instance may have this lock, or none (-1)."""
+        return lock < 0 or self.locks is None or lock in self.locks
 
 
 class Contribution:
@@ -239,8 +238,7 @@ class Layout:
         first, round_, writes, lock = entry.first, entry.round, entry.writes, entry.lock
         if entry.author >= self.n_sys or first > round_:
             return None
-        is_silent = not (writes or entry.acted or lock >= 0)
-        if is_silent:
+        if not (writes or entry.acted or lock >= 0):  # silent
             return ()
         if first != round_:
             return None
@@ -251,7 +249,7 @@ class Layout:
             return None
         author = authors[0]
         values = self._read(author, writes)
-        if values is None or not author.may_want(lock):
+        if values is None or (lock >= 0 and not author.may_want(lock)):
             return None
         return (Contribution(author.number, author.pid, lock, entry.acted, False, values),)
 
@@ -277,10 +275,10 @@ class Layout:
         if not writes:
             return ()
         values: list[tuple[int, Any]] = []
-        before, decoders = -1, self._decoders
+        before, decoders, allowed, fits = -1, self._decoders, author.allowed, self._fits
         for write in writes:
             index = write.index
-            if not before < index < len(decoders) or not author.may_write(index):
+            if not before < index < len(decoders) or (allowed is not None and index not in allowed):
                 return None
             if write.patch:
                 values.append((index, Unpatched(bytes(write.value))))
@@ -289,7 +287,7 @@ class Layout:
                     value = decoders[index].decode(write.value)
                 except (ValueError, RecursionError):
                     return None
-                if not self._fits[index](value):
+                if not fits[index](value):
                     return None
                 values.append((index, value))
             before = index
