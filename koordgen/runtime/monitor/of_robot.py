@@ -63,6 +63,8 @@ class RobotMonitors:
     @property
     def verdict(self) -> SafetyVerdict:
         """Reaction that violated properties require; a safe stop goes before a hold."""
+        if len(self._all) == 1:
+            return self._all[0].verdict
         found = GO
         for monitors in self._all:
             verdict = monitors.verdict
