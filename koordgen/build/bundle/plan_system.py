@@ -6,6 +6,7 @@ all robots gets the bundles of a program (plan.py)."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
@@ -19,6 +20,7 @@ from koordgen.build.bundle.plan import (
     facts_of,
     finished,
     plan,
+    read_common,
     release_of,
     requirements,
     settings_of,
@@ -102,6 +104,18 @@ def plan_system(these: SystemIngredients, wanted: Iterable[str]) -> dict[str, Fi
     ]
     bundles["fleet"] = finished({"fleet.json": as_json(facts)} | release)
     return bundles
+
+
+def read_system_ingredients(
+    system: System,
+    parts: tuple[ApplicationFiles, ...],
+    targets: tuple[Target, ...],
+    fleet: Fleet,
+    package: Path,
+    shares: Mapping[str, float],
+) -> SystemIngredients:
+    """Read all files that are copied into bundles. `package`: folder of the koordgen package."""
+    return SystemIngredients(system, parts, targets, fleet, *read_common(targets, package), shares)
 
 
 def these_with_sizes(these: SystemIngredients) -> SystemIngredients:
