@@ -14,12 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from koordgen.runtime.agent.instance import AgentInstance
+from koordgen.runtime.agent.instance import AgentInstance, InstanceRun
 from koordgen.runtime.agent.output_commit import AHEAD, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import RoundCounters
 from koordgen.runtime.net.wire import ReplicaMessage
-from koordgen.runtime.program.program import Calls, Frame, Life
 from koordgen.runtime.program.runner import (
     FAULT,
     LATE,
@@ -29,7 +28,6 @@ from koordgen.runtime.program.runner import (
     NOT_CURRENT,
     STOPPED,
     WOKE_LATE,
-    EventResult,
 )
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
@@ -54,20 +52,6 @@ class _Present:
     sensed: Sensed | None = None
     tick: int = -1  # last handled tick of the round
     acknowledged: bool = False  # the robots that wait know that this robot has applied the round
-
-
-@dataclass(slots=True)
-class _Run:
-    """Event of instance number `place` of the robot in the present round.
-
-    life: the instance's private state after an event with effects."""
-
-    place: int
-    instance: AgentInstance
-    frame: Frame
-    result: EventResult
-    calls: Calls
-    life: Life | None = None
 
 
 class Lost(Exception):
@@ -360,7 +344,7 @@ class Rounds:
             if reason is None and overdue:
                 reason = WOKE_LATE
         late = lagging or reason == WOKE_LATE
-        hindrances = [reason or self._hindrance(instance, sensors, unready) for instance in self._instances]
+        hindrances = [reason or instance.hindrance(sensors, unready) for instance in self._instances]
         is_hindered = None not in hindrances
         self.counters.current += current
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
@@ -372,7 +356,7 @@ class Rounds:
                 )
         self._body.hold(NOT_CURRENT, lagging and not current, now)
         self._body.hold(NOT_CONFIRMED, self._awaited is not None, now)
-        runs: list[_Run] = []
+        runs: list[InstanceRun] = []
         if is_hindered:
             self.counters.skipped += 1
             self._close(runs)
@@ -381,11 +365,9 @@ class Rounds:
             self._close(runs)
         self._record(runs, hindrances, sensors, now, into)
 
-    def _hindrance(self, instance: AgentInstance, sensors: Mapping[str, Any], unready: str | None) -> str | None:
-        """Return the reason why one instance runs no event in a round in which the robot may; None if it runs one."""
-        return STOPPED if instance.stopped else instance.hindrance(sensors, unready)
-
-    def _run_events(self, sensors: Mapping[str, Any], hindrances: Sequence[str | None], now: float) -> list[_Run]:
+    def _run_events(
+        self, sensors: Mapping[str, Any], hindrances: Sequence[str | None], now: float
+    ) -> list[InstanceRun]:
         """Run an event of each instance without a hindrance. Return the runs by instance."""
         state, instances = self._replica.state, self._instances
         assert state is not None
@@ -404,7 +386,7 @@ class Rounds:
 
     def _divide_time(
         self, shared: Mapping[str, Any], sensors: Mapping[str, Any], hindrances: Sequence[str | None], deadline: float
-    ) -> list[_Run]:
+    ) -> list[InstanceRun]:
         """Run the events of several instances, which divide the time up to the deadline by their shares.
 
         Time that one leaves goes to the next ones. The first place rotates with the round, so that no instance always
@@ -412,7 +394,7 @@ class Rounds:
         count = len(self._instances)
         first = self.round % count
         waiting = [place for place in (*range(first, count), *range(first)) if hindrances[place] is None]
-        runs: list[_Run] = []
+        runs: list[InstanceRun] = []
         for index, place in enumerate(waiting):
             began = self._instances[place].now()
             shares = [self._instances[p].share for p in waiting[index:]]
@@ -420,13 +402,15 @@ class Rounds:
             runs.append(self._run_event(place, shared, sensors, until))
         return sorted(runs, key=_place_of)
 
-    def _run_event(self, place: int, shared: Mapping[str, Any], sensors: Mapping[str, Any], until: float) -> _Run:
+    def _run_event(
+        self, place: int, shared: Mapping[str, Any], sensors: Mapping[str, Any], until: float
+    ) -> InstanceRun:
         """Run an event of one instance, up to a local time."""
         instance, body = self._instances[place], self._body
         frame = instance.frame(shared, sensors, body.actuators, body.call)
         result = instance.runner.step(frame, until)
         instance.is_faulty = result.fault is not None
-        return _Run(place, instance, frame, result, body.calls())
+        return InstanceRun(place, instance, frame, result, body.calls())
 
     def _observation(
         self, instance: AgentInstance, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool
@@ -471,7 +455,7 @@ class Rounds:
     def _named(self, pids: list[int]) -> str:
         return ", ".join(self._names[p] for p in pids)
 
-    def _close(self, runs: Sequence[_Run]) -> None:
+    def _close(self, runs: Sequence[InstanceRun]) -> None:
         """Persist the private states after the events, and send the round's entry."""
         state, body = self._replica.state, self._body
         self._present.open = False
@@ -517,7 +501,7 @@ class Rounds:
 
     def _record(
         self,
-        runs: Sequence[_Run],
+        runs: Sequence[InstanceRun],
         hindrances: Sequence[str | None],
         sensors: Mapping[str, Any],
         now: float,
@@ -576,13 +560,13 @@ class Rounds:
         return self._local_time_at(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))
 
 
-def _event(run: _Run) -> InstanceEvent:
+def _event(run: InstanceRun) -> InstanceEvent:
     effects, life = run.result.effects, run.life
     assert effects is not None and life is not None
     return InstanceEvent(run.place, effects.shared, life.stopped, run.result.lock)
 
 
-def _place_of(run: _Run) -> int:
+def _place_of(run: InstanceRun) -> int:
     return run.place
 
 
