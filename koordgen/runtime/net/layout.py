@@ -18,6 +18,7 @@ from koordgen.runtime.net.wire import (
     MAX_ROBOTS,
     MOST_FRAGMENTS,
     MOST_WRITES,
+    Contribution,
     Entry,
     EntryPart,
     Write,
@@ -73,23 +74,6 @@ class Author:
     def may_want(self, lock: int) -> bool:
         """Return whether an event of the instance may have this lock, or none (-1)."""
         return lock < 0 or self.locks is None or lock in self.locks
-
-
-class Contribution:
-    """Event of one instance in a round, decoded from an entry.
-
-    slot: the instance's slot in the allread variables of its application.
-    acted, stopped, lock: see EntryPart. If the author has only this instance, the entry says whether it has stopped.
-    values: the event's writes, as pairs (index of the variable, value). A patch is an Unpatched object.
-    """
-
-    __slots__ = ("acted", "instance", "lock", "slot", "stopped", "values")
-
-    def __init__(
-        self, instance: int, slot: int, lock: int, acted: bool, stopped: bool, values: Sequence[tuple[int, Any]]
-    ) -> None:
-        self.instance, self.slot, self.lock = instance, slot, lock
-        self.acted, self.stopped, self.values = acted, stopped, values
 
 
 class Layout:

@@ -12,8 +12,8 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from koordgen.runtime.net.layout import Contribution, Layout
-from koordgen.runtime.net.wire import Entry, EntryPart, Snapshot, View
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.wire import Contribution, Entry, EntryPart, Snapshot, View
 from koordgen.runtime.replication.apply import Store, arbitrate, merge
 from koordgen.runtime.replication.log import EntryLog, Logged
 from koordgen.runtime.replication.schedule import Schedule
