@@ -242,17 +242,20 @@ class Layout:
     ) -> Sequence[Contribution] | None:
         """Return the events of an entry whose author runs several instances. Parameters and result: see `read`."""
         found: list[Contribution] = []
-        if len(authors) < 2 or entry.lock >= 0 or entry.acted != any(part.acted for part in parts.values()):
+        acted = False
+        if len(authors) < 2 or entry.lock >= 0:
             return None
         for author in authors:
             part = parts.get(author.application)
             if part is None:
                 continue
-            values = self._read(author, part.writes)
-            if values is None or not author.may_want(part.lock):
+            writes, lock = part.writes, part.lock
+            values = self._read(author, writes) if writes else ()
+            if values is None or not author.may_want(lock):
                 return None
-            found.append(Contribution(author.number, author.pid, part.lock, part.acted, part.stopped, values))
-        return found if len(found) == len(parts) else None
+            acted = acted or part.acted
+            found.append(Contribution(author.number, author.pid, lock, part.acted, part.stopped, values))
+        return found if len(found) == len(parts) and acted == entry.acted else None
 
     def _read(self, author: Author, writes: Sequence[Write]) -> Sequence[tuple[int, Any]] | None:
         """Return the values of an instance's writes; None if the instance cannot have written them."""
