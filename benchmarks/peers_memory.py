@@ -135,9 +135,9 @@ class SharedMemory:
         pid, n = given.pid, len(given.peers)
         self._pid, self._delta, self._rest = pid, given.delta, "x" * (size - 8)
         self._transport, self._now = transport, clock.now
-        keeping = Persistence(store, program(size), n)
+        keeping = Persistence(store, [program(size)], n)
         self._driver, self._link = open_driver(given, size, transport, clock, keeping.hard_state)
-        keeping.mission(self._link.epoch, Life(0, {"count": 0}, {}, False))
+        keeping.mission(self._link.epoch, [Life(0, {"count": 0}, {}, False)])
         self._replica = self._driver.replica
         self._round, self._tick = 0, -1
         self._start = self._begun = math.inf  # start of round 1, from the earliest publish; start of the present round

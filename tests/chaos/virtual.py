@@ -148,7 +148,7 @@ def kills(seed: int, loss: float, times: int = 10, kills: int = 4) -> Ended:
         fleet.run(chance.uniform(0.0, 1.0), until=lambda: finished(fleet))
         fleet.run(20.0, until=lambda: dying.away() < 2)
         # Nobody whom the others can finish without: they would be gone when it comes back.
-        busy = [p for p, r in fleet.robots.items() if r.agent._runner.locals["count"] < times - 2]
+        busy = [p for p, r in fleet.robots.items() if r.agent._instances[0].runner.locals["count"] < times - 2]
         if not busy:
             break
         pid = chance.choice(busy)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
 
+from koordgen.runtime.agent.instance import AgentInstance
 from koordgen.runtime.agent.records import KEPT
 from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.net.layout import Layout
@@ -202,15 +203,17 @@ class Fleet:
 
         hard_state = HardState(kept.view, kept.applied, kept.vote)
         replica = Replica(pid, self.layout, state, hard_state, TIMEOUT, wire.room)
-        driver = Driver(replica, cast(Any, wire), kept.persist, lambda private: kept.keep(private[0]))
+        driver = Driver(replica, cast(Any, wire), kept.persist, lambda private: kept.keep(private[0][0]))
         program = Program(pid, lambda: self._wish(pid))
         lives = [kept.lives[r] for r in sorted(kept.lives)]
         program.locals = cast(Mapping[str, int], lives[-1].locals)
         body = Body(self._outputs[pid].append)
         clock = SimpleNamespace(read=lambda t: t, local=lambda t: t)
+        instance = AgentInstance(cast(Any, program), pid, lambda: 0.0)
+        instance.begin(lives)
         rounds = Rounds(
-            cast(Any, program), cast(Any, body), driver, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
-            1.0, lives, lambda record: self._final(pid, record),
+            [instance], cast(Any, body), driver, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0, 1.0,
+            lambda record: self._final(pid, record),
         )  # fmt: skip
         return Robot(replica, driver, rounds, program, wire, kept)
 

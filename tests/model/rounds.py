@@ -6,10 +6,9 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
-from koordgen.runtime.net.wire import Entry, View
+from koordgen.runtime.net.wire import Contribution, View
 from koordgen.runtime.replication import progress
 from koordgen.runtime.replication.apply import arbitrate
-from koordgen.runtime.replication.log import Logged
 from koordgen.runtime.replication.messages import Vote
 from koordgen.runtime.replication.progress import Progress
 from koordgen.runtime.replication.rejoin import Rejoin
@@ -149,14 +148,14 @@ class Rounds:
         key = closings, round_
         found = self._counted.get(key)
         if found is None:
-            entries = [
-                Logged(Entry(a, i, round_, round_, acted=kind != SKIP, lock=0 if kind == COMMIT else -1), ())
-                for a, i, kind in closings
+            events = [
+                Contribution(a, a, 0 if kind == COMMIT else -1, kind != SKIP, False, ()) for a, _, kind in closings
             ]
-            commits, others = arbitrate(entries, round_, N)
+            commits, others = arbitrate(events, round_, N)
             if len(commits) > 1:
                 raise Violation(f"P1: round {round_}: more than one commit of {closings} counts")
-            found = tuple(sorted((e.entry.author, e.entry.incarnation) for e in (*commits, *others) if e.entry.acted))
+            counted = {e.instance for e in (*commits, *others) if e.acted}
+            found = tuple(sorted((a, i) for a, i, _ in closings if a in counted))
             self._counted[key] = found
         return found
 

@@ -51,13 +51,13 @@ def program_hash(program: ir.Program, functions: bytes = b"") -> str:
 
     Robots with different hashes refuse one another.
     """
-    return _digest(encode("program", program, blake2s(functions).hexdigest()))
+    return digest(encode("program", program, blake2s(functions).hexdigest()))
 
 
 def interface_hash(program: ir.Program) -> str:
     """Return 16 hexadecimal digits over wire format and shared variables, which peers need to read datagrams."""
     shared = tuple([(v.name, v.kind, v.type) for v in program.shared])
-    return _digest(encode("interface", WIRE_FORMAT, shared))
+    return digest(encode("interface", WIRE_FORMAT, shared))
 
 
 def functions_module(program: ir.Program) -> str:
@@ -68,7 +68,8 @@ def functions_module(program: ir.Program) -> str:
     return re.sub(r"\W", "_", f"{program.name}_functions")
 
 
-def _digest(data: bytes) -> str:
+def digest(data: bytes) -> str:
+    """Return 16 hexadecimal digits."""
     return blake2s(data, digest_size=8).hexdigest()
 
 

@@ -6,8 +6,8 @@ put back. A system with one application therefore has the meaning of its program
 
 `system_round` computes the result that agents compute. In a round each instance picks its event on the state at the
 round's start and sees no other instance's writes of that round. Of the instances that want a lock, the one with the
-least (instance - round - lock) mod instances commits. The writes of commits take effect first, then those of the other
-events by instance; the last write of a variable remains.
+least (instance - round - lock) mod instances commits; an instance whose event is discarded wants none. The writes of
+commits take effect first, then those of the other events by instance; the last write of a variable remains.
 """
 
 from __future__ import annotations
@@ -132,47 +132,44 @@ def system_round(
     """
     instances, locks = system.instances(), system.locks()
     views = [view(system, state, index) for index in range(len(system.applications))]
-    chosen: dict[int, decl.Event | Step] = {}
+    taken: list[tuple[InstanceStep, int | None]] = []  # each instance's step, and the lock that it wants
     for number, instance in enumerate(instances):
-        stopped = state.stopped[instance.application][instance.pid]
-        event = None
-        if not stopped and number not in skipping:
-            program = system.applications[instance.application].program
-            event = single.select(program, views[instance.application], instance.pid, _world(worlds, instance))
-        chosen[number] = event or Step(instance.pid, None, None)
-    holders = _holders(instances, chosen, locks, state.round)
+        step, lock = Step(instance.pid, None, None), None
+        if not state.stopped[instance.application][instance.pid] and number not in skipping:
+            program, world = system.applications[instance.application].program, _world(worlds, instance)
+            step, wanted = _step(program, views[instance.application], instance.pid, world)
+            lock = None if wanted is None else locks[instance.application, wanted]
+        taken.append((InstanceStep(number, step), lock))
+    holders = _holders(taken, len(instances), state.round)
     commits, plain = list[InstanceStep](), list[InstanceStep]()
-    for number, event in chosen.items():
-        instance = instances[number]
-        if isinstance(event, Step):
-            plain.append(InstanceStep(number, event))
-            continue
-        lock = None if event.lock is None else locks[instance.application, event.lock]
-        if lock is not None and holders[lock] != number:
-            plain.append(InstanceStep(number, Step(instance.pid, None, None)))
-            continue
-        program = system.applications[instance.application].program
-        world = _world(worlds, instance)
-        done = single.execute(program, event.effect, views[instance.application], instance.pid, world)
-        (plain if lock is None else commits).append(InstanceStep(number, Step(instance.pid, event.name, done)))
+    for done, lock in taken:
+        if lock is None:
+            plain.append(done)
+        elif holders[lock] == done.instance:
+            commits.append(done)
+        else:
+            plain.append(InstanceStep(done.instance, Step(done.step.pid, None, None)))
     steps = commits + plain
     return _all_applied(system, state, steps)._replace(round=state.round + 1), steps
 
 
-def _holders(
-    instances: Sequence[Instance],
-    chosen: Mapping[int, decl.Event | Step],
-    locks: Mapping[tuple[int, int], int],
-    round_: int,
-) -> dict[int, int]:
+def _step(program: decl.Program, seen: State, pid: int, world: World) -> tuple[Step, int | None]:
+    """Return the step of one instance, and the program's lock that it needs; None if it needs none."""
+    event = single.select(program, seen, pid, world)
+    if event is None or isinstance(event, Step):
+        return event or Step(pid, None, None), None
+    done = single.execute(program, event.effect, seen, pid, world)
+    return Step(pid, event.name, done), event.lock if isinstance(done, Writes) else None
+
+
+def _holders(taken: Sequence[tuple[InstanceStep, int | None]], instances: int, round_: int) -> dict[int, int]:
     """Return the instance that commits on each lock: priority rotates with the round, so no instance starves."""
     wanted: dict[int, list[int]] = {}
-    for number, event in chosen.items():
-        if isinstance(event, decl.Event) and event.lock is not None:
-            wanted.setdefault(locks[instances[number].application, event.lock], []).append(number)
-    count = len(instances)
+    for done, lock in taken:
+        if lock is not None:
+            wanted.setdefault(lock, []).append(done.instance)
     return {
-        lock: min(((number - round_ - lock) % count, number) for number in numbers)[1]
+        lock: min(((number - round_ - lock) % instances, number) for number in numbers)[1]
         for lock, numbers in wanted.items()
     }
 

@@ -15,7 +15,7 @@ import errno
 import fcntl
 import os
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from hashlib import blake2s
 from hmac import compare_digest
@@ -26,7 +26,7 @@ import msgspec
 
 from koordgen.runtime.agent.records import KEPT, Acceptor, Identity, Kept, Loaded, Locals, Mission
 from koordgen.runtime.net.transport import CannotOpen
-from koordgen.runtime.program.program import Port, Program, Variable
+from koordgen.runtime.program.program import Life, Port, Program, Variable
 from koordgen.runtime.values.points import transmissible
 
 STORE_FORMAT = 2
@@ -34,6 +34,7 @@ _MAGIC = b"koord-state\n"
 _HEADER = 512  # size of the header in bytes; less than a page, so a crash cannot interrupt its write
 _DIGEST = 16  # size of a digest in bytes
 _PAGE = 4096  # bytes; the page size of every supported system is a multiple of this number
+_INSTANCE = 32  # most bytes of an instance's state in a record of several, without its values
 _HEAD = struct.Struct("!BQI")  # kind, sequence number, length of the payload
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -45,6 +46,7 @@ _SLOTS = (2, KEPT + 1, 2)  # number of slots for each kind: one more than needed
 _DECODERS: tuple[msgspec.msgpack.Decoder[Kept], ...] = tuple(msgspec.msgpack.Decoder(kind) for kind in _KINDS)
 
 
+_states = msgspec.msgpack.Decoder(list[tuple[int, bool, bytes, bytes]])
 _identity_decoder = msgspec.msgpack.Decoder(Identity)
 
 
@@ -81,11 +83,15 @@ class CheckpointFile:
 
     @classmethod
     def open(cls, path: Path | None, program: Program, robot: str, pid: int, n_sys: int,
-             warn: Callable[[str], None]) -> CheckpointFile:  # fmt: skip
+             warn: Callable[[str], None], instances: int = 1) -> CheckpointFile:  # fmt: skip
         """Open the file at `path`, and create and allocate it if needed. Without a path, no record is stored.
 
+        program: the program of the robot; see FleetProgram.of.
+        instances: number of the robot's instances.
         A file of another program, robot or format is reported by `warn` and erased. Raises CannotOpen."""
-        identity = Identity(STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys))
+        identity = Identity(
+            STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys, instances)
+        )
         if path is None:
             return cls(identity, None, -1, warn)
         try:
@@ -270,13 +276,14 @@ class CheckpointFile:
             return None
 
 
-def _rooms(program: Program, n_sys: int) -> tuple[int, ...]:
+def _rooms(program: Program, n_sys: int, instances: int) -> tuple[int, ...]:
     """Return for each kind of record the largest size in bytes."""
     shared = sum(4 + v.bound.bytes for v in program.shared)
     own = sum(v.bound.bytes for v in program.locals)
     ports = sum(1 + p.bound.bytes for p in _actuators(program) if p.bound is not None)
     view = 128 + 10 * n_sys  # most bytes of an encoded view, which has one number for each robot
-    return (256 + shared, 64 + own + ports, 64 + 2 * view)
+    heads = _INSTANCE * instances if instances > 1 else 0
+    return (256 + shared, 64 + own + ports + heads, 64 + 2 * view)
 
 
 def _length(room: int) -> int:
@@ -326,27 +333,46 @@ def _actuators(program: Program) -> tuple[Port, ...]:
 
 
 class LocalsCodec:
-    """Codec of the values of local variables and actuators: MessagePack arrays in the program's order.
+    """Codec of the private states of a robot's instances: records `Locals`.
 
-    An actuator without a value is encoded as nil."""
+    The values of local variables and actuators are MessagePack arrays in the order of the instance's program. An
+    actuator without a value is encoded as nil. With several instances, `Locals.locals` is an array that has round,
+    `stopped`, local variables and actuators of each, and `Locals.actuators` is empty."""
 
-    def __init__(self, program: Program) -> None:
-        self._locals: tuple[Variable | Port, ...] = program.locals
-        self._actuators: tuple[Variable | Port, ...] = _actuators(program)
+    def __init__(self, programs: Sequence[Program]) -> None:
+        self._places: list[tuple[tuple[Variable | Port, ...], tuple[Variable | Port, ...]]] = [
+            (program.locals, _actuators(program)) for program in programs
+        ]
 
-    def encode(self, locals_: Mapping[str, Any], actuators: Mapping[str, Any]) -> tuple[bytes, bytes]:
-        return (
-            _encode([locals_[v.name] for v in self._locals]),
-            _encode([actuators.get(p.name) for p in self._actuators]),
-        )
+    def encode(self, lives: Sequence[Life], incarnation: int) -> Locals:
+        if len(lives) == 1:
+            return Locals(lives[0].round, incarnation, *self._parts(0, lives[0]), lives[0].stopped)
+        states = [(life.round, life.stopped, *self._parts(place, life)) for place, life in enumerate(lives)]
+        round_ = max([life.round for life in lives], default=0)
+        return Locals(round_, incarnation, _encode(states), b"", all(life.stopped for life in lives))
 
-    def decode(self, locals_: bytes, actuators: bytes) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """Return name -> value of locals and of actuators, or None. Never raises.
+    def _parts(self, place: int, life: Life) -> tuple[bytes, bytes]:
+        own, ports = self._places[place]
+        return _encode([life.locals[v.name] for v in own]), _encode([life.actuators.get(p.name) for p in ports])
 
-        The result is None if a value does not fit the program.
-        """
-        own, ports = _values(self._locals, locals_, False), _values(self._actuators, actuators, True)
-        return None if own is None or ports is None else (own, ports)
+    def decode(self, record: Locals) -> list[Life] | None:
+        """Return the private state of each instance, or None if a value does not fit its program. Never raises."""
+        if len(self._places) == 1:
+            states = [(record.round, record.stopped, record.locals, record.actuators)]
+        else:
+            try:
+                states = _states.decode(record.locals)
+            except (ValueError, RecursionError):
+                return None
+        if len(states) != len(self._places):
+            return None
+        found = []
+        for (round_, stopped, locals_, actuators), (own, ports) in zip(states, self._places, strict=True):
+            values, commanded = _values(own, locals_, False), _values(ports, actuators, True)
+            if values is None or commanded is None:
+                return None
+            found.append(Life(round_, values, commanded, stopped))
+        return found
 
 
 def _values(places: tuple[Variable | Port, ...], data: bytes, may_lack: bool) -> dict[str, Any] | None:

@@ -6,33 +6,37 @@ from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.agent.checkpoint import CheckpointStore
+from koordgen.runtime.agent.instance import AgentInstance
 from koordgen.runtime.agent.joining import Joining
 from koordgen.runtime.agent.persistence import Persistence, first_hard_state
 from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.config.settings import Settings
-from koordgen.runtime.monitor.monitor import Cpu, Monitors
+from koordgen.runtime.monitor.monitor import Cpu
+from koordgen.runtime.monitor.of_robot import RobotMonitors
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics, tally
 from koordgen.runtime.net.transport import Transport
-from koordgen.runtime.net.wire import Entry
+from koordgen.runtime.net.wire import Entry, EntryPart
 from koordgen.runtime.ops.journal import Emit, Journal
 from koordgen.runtime.ops.recent import goal
-from koordgen.runtime.program.program import Fault, Life, Program
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.program import Calls, Effects, Fault, Frame, Life, Program
 from koordgen.runtime.program.property import Properties
-from koordgen.runtime.program.runner import NO_POSITION, STOPPED, Limit, Runner, unlimited
+from koordgen.runtime.program.runner import NO_POSITION, STOPPED, Limit, unlimited
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import Replica
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.values.points import transmissible
+from koordgen.runtime.vehicle.drivers import modules_of_drivers
 from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Platform, Unready, vitals
 from koordgen.runtime.vehicle.safety import SafetyGuard, own_position
@@ -49,12 +53,14 @@ class Agent:
     Call `poll` at or before the time that its last call returned. `done` becomes true once the vehicle has stopped and
     no other robot needs this robot's messages.
 
+    program: the program that all robots run, or the applications of the fleet.
     boot: id of this start of the process; 8 random bytes.
+    properties: properties of the program, or of each application by its name.
     """
 
     def __init__(
         self,
-        program: Program,
+        program: Program | FleetProgram,
         settings: Settings,
         key: bytes | None,
         platform: Platform,
@@ -66,7 +72,7 @@ class Agent:
         store: CheckpointStore,
         monitors: Sequence[Observe] = (),
         limit: Limit = unlimited,
-        properties: Properties | None = None,
+        properties: Mapping[str, Properties] | Properties | None = None,
         cpu: Cpu | None = None,
     ) -> None:
         self._settings = settings
@@ -75,34 +81,48 @@ class Agent:
         self._transport = transport
         self._names = tuple(p.name for p in settings.peers)
         self.metrics = Metrics(settings.pid, len(self._names))
-        self._layout = Layout(program.shared, len(self._names))
+        if isinstance(program, Program):
+            program = FleetProgram.alone(program, len(self._names))
+        self._fleet, own = program, program.of(settings.pid)
+        self._layout = Layout.of(self._fleet)
         self._fleet_clock = FleetClock(settings.pid)
         self._journal = Journal(settings.robot, trace, emit, clock, self._fleet_clock, self.metrics, monitors)
-        self.monitors = Monitors(properties, settings, self._journal.monitor, limit, cpu)
+        driven = modules_of_drivers(platform)
+        numbers = self._fleet.of_robot(settings.pid)
+        self._instances = tuple([AgentInstance.of(self._fleet, i, clock, limit, driven) for i in numbers])
+        self.monitors = RobotMonitors(self._fleet, properties, settings, self._journal.monitor, limit, cpu)
         self._journal.watch(self.monitors.hear)
         self._stalls = Stalls(self._journal.stall)
         self._link = Link(
-            program, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
+            own, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
         )
         self._joining = Joining(self._link, self._layout, self._names)
-        self._persistence = Persistence(store, program, len(self._names))
+        programs = [instance.runner.program for instance in self._instances]
+        self._persistence = Persistence(store, programs, len(self._names))
         if self._persistence.interrupted:
             self._joining.come_back(self._persistence.interrupted)
         fence, budget = settings.geofence, settings.planner_budget
         self._body = VehicleInterface(
-            program, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now
-        )
-        self._runner = Runner(program, settings.pid, len(self._names), clock, limit)
-        self._positions = tuple(p.name for p in program.ports if p.is_position)
+            own, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now,
+            self._fleet.members_of(settings.avoid),
+        )  # fmt: skip
+        self._positions = tuple(p.name for p in own.ports if p.is_position)
         self._guard = SafetyGuard(settings.safety, settings.geofence, self._positions)
+        self._kinds = {variable.name: variable.kind for variable in own.shared}
+        self._journal.recent.stored = self._fleet.names()
+        trace.header(self._fleet, settings.robot, settings.pid, len(self._names), settings.delta)
+        self._reset()
+
+    def _reset(self) -> None:
+        """Set the state of an agent that has not started."""
         self._unready: str | None = None  # reason why the vehicle does not allow an event
         self._rounds: Rounds | None = None
         self._driver: Driver | None = None
         self._view = -1
-        self._kinds = {variable.name: variable.kind for variable in program.shared}
         self._next_body = 0.0
         self._missed = self._failures = 0
-        self._init: Life | None = None
+        self._init: tuple[Life, ...] | None = None
+        self._watched: list[tuple[Callable[[Any], None], AgentInstance]] = []  # instances whose monitors need rounds
         self._stop_began = 0.0
         self._served = 0.0  # time of the platform's last successful `poll`
         self._asked_to_end = False
@@ -110,7 +130,6 @@ class Agent:
         self.phase = ""
         self.status = OK
         self.done = False
-        trace.header(program, settings.robot, settings.pid, len(self._names), settings.delta)
 
     @property
     def round(self) -> int:
@@ -125,7 +144,10 @@ class Agent:
     def counters(self) -> dict[str, int]:
         """Return name -> count of all counters: of rounds, dropped datagrams and network failures."""
         counters = None if self._rounds is None else self._rounds.counters
-        return tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
+        counted = tally(self._link.rejected, self._transport.troubles, self._body.slow_calls, counters)
+        if self._fleet.is_composed:
+            counted |= {f"{i.application}: {name}": count for i in self._instances for name, count in i.counts.items()}
+        return counted
 
     def clock_error(self, now: float) -> float | None:
         """Return the largest possible error (s) of this robot's fleet time; None if unknown.
@@ -335,29 +357,46 @@ class Agent:
             self._run_init(now)
 
     def _run_init(self, now: float) -> None:
-        """Erase the state of earlier missions, run the program's `init`, and join with the result of `init`."""
+        """Erase the state of earlier missions, run `init` of each instance, and join with the results."""
         self._persistence.forget()
-        sensed = self._platform.sense(now)
-        shared = self._layout.initial()
-        frame = self._runner.frame(shared, self._body.sensors(sensed), self._body.actuators, self._body.call)
-        done = self._runner.init(frame)
-        calls = self._body.calls()
-        if isinstance(done, Fault):
-            self._journal.error(f"{done} (in init)")
-            self._stop_safely("init failed", WRONG_PROGRAM)
-            return
-        result = Entry(self._settings.pid, 0, 0, 0, done.stopped, writes=self._layout.written(done.shared)[0])
+        sensors, shared, body = self._body.sensors(self._platform.sense(now)), self._layout.initial(), self._body
+        ran: list[tuple[AgentInstance, Frame, Effects, Calls]] = []
+        for instance in self._instances:
+            frame = instance.frame(shared, sensors, body.actuators, body.call)
+            done = instance.runner.init(frame)
+            calls = body.calls()
+            if isinstance(done, Fault):
+                self._journal.error(f"{done} (in init)")
+                self._stop_safely("init failed", WRONG_PROGRAM)
+                return
+            ran.append((instance, frame, done, calls))
+        result = self._init_entry([done for _, _, done, _ in ran])
         length = len(encoder.encode(result))
         if length > self._link.sender.room:  # a Hello must fit into one datagram
             most = self._link.sender.room
             self._journal.error(f"init writes {length} bytes of shared variables; at most {most} can be sent")
             self._stop_safely("init failed", WRONG_PROGRAM)
             return
-        self._body.command(done.actuators, now)
-        self._init = Life(0, done.locals, self._body.actuators, done.stopped)
-        self._journal.init(frame.sensors, done, self._init, calls, now)
-        self.monitors.ran(done, None, 0, now)
+        lives = []
+        for place, (instance, frame, done, calls) in enumerate(ran):
+            body.command(done.actuators, now)
+            life = Life(0, done.locals, instance.actuators(body.actuators), done.stopped)
+            lives.append(life)
+            self._journal.init(frame.sensors, done, life, calls, now, instance.application)
+            self.monitors.ran(place, done, None, 0, now)
+        self._init = tuple(lives)
         self._joining.ready(result)
+
+    def _init_entry(self, done: Sequence[Effects]) -> Entry:
+        """Return the entry of round 0 from the results of `init` of each instance."""
+        pid, stopped = self._settings.pid, all(effects.stopped for effects in done)
+        writes = [self._layout.written(effects.shared, None, pid, place)[0] for place, effects in enumerate(done)]
+        if len(done) < 2:
+            return Entry(pid, 0, 0, 0, stopped, writes=writes[0] if writes else ())
+        numbers = [author.application for author in self._layout.authors[pid]]
+        parts = zip(numbers, done, writes, strict=True)
+        used = {number: EntryPart(e.stopped, False, -1, w) for number, e, w in parts if w or e.stopped}
+        return Entry(pid, 0, 0, 0, stopped, writes=used or ())
 
     def _begin_rounds(self, now: float) -> None:
         if self.phase != "joining":
@@ -365,35 +404,44 @@ class Agent:
         mission, returned = self._joining.mission, self._joining.returned
         n = len(self._names)
         if mission is not None and self._init is not None:
-            start, epoch, lives = mission.start, mission.epoch, [self._init]
+            start, epoch, lives = mission.start, mission.epoch, [[life] for life in self._init]
             hard_state = first_hard_state(n)
             state = StateMachine.begin(self._layout, self._settings.pid, hard_state.view, mission.inits)
         elif returned is not None:
             start, epoch, state = returned, self._link.epoch, None
             hard_state = self._persistence.last_hard_state()
             if self._init is None:
-                lives = self._persistence.lives() or [Life(-1, self._runner.locals, self._body.actuators, False)]
+                lives = self._persistence.past_lives() or [[self._unknown_life(i)] for i in self._instances]
             else:
-                lives = [self._init]
+                lives = [[life] for life in self._init]
                 self._persistence.mission(epoch, self._init)
         else:
             return
+        for instance, states in zip(self._instances, lives, strict=True):
+            instance.begin(states)
         timeout = self._settings.safety.peer_timeout
         self._fleet_clock.lock()
         room = self._link.sender.room
         replica = Replica(self._settings.pid, self._layout, state, hard_state, timeout, room)
         self._driver = Driver(
-            replica, self._link, self._persistence.hard_state, lambda private: self._persistence.life(*private)
+            replica, self._link, self._persistence.hard_state, lambda private: self._persistence.lives(*private)
         )  # fmt: skip
         self._rounds = Rounds(
-            self._runner, self._body, self._driver, self._fleet_clock, self._names, start, self._settings.delta, lives,
+            self._instances, self._body, self._driver, self._fleet_clock, self._names, start, self._settings.delta,
             self._journal.untold.append,
         )  # fmt: skip
-        self._rounds.watched = self.monitors.wanted
+        for instance, wanted in zip(self._instances, self.monitors.wanted, strict=True):
+            instance.watched = wanted
+        looks = zip(self.monitors.looks, self._instances, strict=True)
+        self._watched = [(look, instance) for look, instance in looks if instance.watched]
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
-        if self._rounds.stopped:
+        if self._rounds.is_vehicle_stopped:
             self._body.hold(STOPPED, True, now)
         self._next_body = now
+
+    def _unknown_life(self, instance: AgentInstance) -> Life:
+        """Return the private state of an instance whose last event is unknown; no event of it may run."""
+        return Life(-1, instance.runner.locals, instance.actuators(self._body.actuators), False)
 
     def _judge(self, now: float) -> None:
         verdict = self._guard.judge(self._platform.sense(now), now)
@@ -438,8 +486,9 @@ class Agent:
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """Evaluate the monitors, and hold or stop the robot if their verdict demands it."""
-        if rounds.observation is not None:
-            self._journal.attempt(self.monitors.look, rounds.observation)
+        for look, instance in self._watched:
+            if instance.observation is not None:
+                self._journal.attempt(look, instance.observation)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
         if verdict.action == "stop" and self.phase == "running":

@@ -28,13 +28,16 @@ class _Waiting:
 
 
 class OutputCommit:
-    """Queue of the records of rounds that are not committed yet.
+    """Queue of the records of one instance's rounds that are not committed yet.
 
     lives: private states to which the robot may have to roll back, by ascending round; the first state is committed.
     first: first round whose outputs wait; None if no outputs wait.
+    rival: text for users about the transaction that wins a lock that this instance wants.
     """
 
-    def __init__(self, life: Life) -> None:
+    def __init__(self, life: Life, instance: int) -> None:
+        self._instance = instance
+        self.rival = "another robot's transaction"
         self._waiting: deque[_Waiting] = deque()
         self._commit: _Waiting | None = None  # transaction whose result is unknown
         self.lives = [life]
@@ -81,11 +84,11 @@ class OutputCommit:
             return None
         self._commit = None
         waiting.lock = -1
-        if state.won == waiting.record.round:
+        if state.won.get(self._instance) == waiting.record.round:
             if waiting.life is not None:
                 self.lives.append(waiting.life)
             return True
-        why = f"{LOST_CONTENTION}: {waiting.record.event}, to another robot's transaction"
+        why = f"{LOST_CONTENTION}: {waiting.record.event}, to {self.rival}"
         waiting.record = replace(waiting.record, event=None, effects=None, frame=None, skipped=why)
         waiting.life = None
         self._look()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from koordgen.runtime.agent.checkpoint import CheckpointStore, LocalsCodec
-from koordgen.runtime.agent.records import Acceptor, Loaded, Locals, Mission
+from koordgen.runtime.agent.records import Acceptor, Loaded, Mission
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.wire import View
 from koordgen.runtime.program.program import Life, Program
@@ -15,12 +17,13 @@ from koordgen.runtime.replication.messages import HardState, Vote
 class Persistence:
     """Persistent state of one robot.
 
+    programs: the program of each instance of the robot.
     past: records that an earlier process of this robot wrote; empty once a new mission begins.
     """
 
-    def __init__(self, store: CheckpointStore, program: Program, n_sys: int) -> None:
+    def __init__(self, store: CheckpointStore, programs: Sequence[Program], n_sys: int) -> None:
         self._store = store
-        self._codec = LocalsCodec(program)
+        self._codec = LocalsCodec(programs)
         self._n = n_sys
         self._epoch = b""  # epoch of the persisted mission
 
@@ -41,17 +44,16 @@ class Persistence:
         self._epoch = b""
         self._store.clear()
 
-    def mission(self, epoch: bytes, init: Life) -> None:
-        """Persist the mission's epoch and the private state after `init`. Call this before the epoch is sent."""
+    def mission(self, epoch: bytes, init: Sequence[Life]) -> None:
+        """Persist the mission's epoch and the private states after `init`. Call this before the epoch is sent."""
         if epoch not in (b"", self._epoch):
             self._epoch = epoch
             self._store.write(Mission(epoch, 0, b""))
-            self.life(init, 0)
+            self.lives(init, 0)
 
-    def life(self, life: Life, incarnation: int) -> None:
-        """Persist the robot's private state (a Life) after an event, and the robot's incarnation in the event."""
-        own, actuators = self._codec.encode(life.locals, life.actuators)
-        self._store.write(Locals(life.round, incarnation, own, actuators, life.stopped))
+    def lives(self, lives: Sequence[Life], incarnation: int) -> None:
+        """Persist the private state of each instance after its last event, and the robot's incarnation."""
+        self._store.write(self._codec.encode(lives, incarnation))
 
     def hard_state(self, state: HardState) -> None:
         """Persist the facts that this robot must not contradict after a restart; see HardState."""
@@ -62,14 +64,14 @@ class Persistence:
             self._encoded = view, vote, encoded, value
         self._store.write(Acceptor(encoded, applied, vote.number, vote.promised, vote.voted, value))
 
-    def lives(self) -> list[Life]:
-        """Return the private states that an earlier process has persisted, by ascending round."""
-        found = []
-        for kept in self.past.locals:
-            decoded = self._codec.decode(kept.locals, kept.actuators)
-            if decoded is not None:
-                found.append(Life(kept.round, *decoded, kept.stopped))
-        return found
+    def past_lives(self) -> list[list[Life]]:
+        """Return for each instance the private states that an earlier process has persisted, by ascending round.
+
+        Return an empty list if there is no state."""
+        decoded = [self._codec.decode(kept) for kept in self.past.locals]
+        states = [lives for lives in decoded if lives is not None]
+        found = [{life.round: life for life in of_instance} for of_instance in zip(*states, strict=True)]
+        return [[lives[round_] for round_ in sorted(lives)] for lives in found]
 
     def last_hard_state(self) -> HardState:
         """Return the last hard state of an earlier process, or else the hard state of a new mission."""

@@ -22,7 +22,7 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from types import FrameType
@@ -42,9 +42,10 @@ from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.doctor import PlatformType, examine
 from koordgen.runtime.ops.host import temperature
 from koordgen.runtime.ops.notify import Notifier
-from koordgen.runtime.ops.set_up import open_key, open_settings, open_transport
+from koordgen.runtime.ops.set_up import fleet_program, open_key, open_settings, open_transport, programs_of
 from koordgen.runtime.ops.status import ask, show
 from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program, wrong_first_value
 from koordgen.runtime.program.property import Properties, without_properties
 from koordgen.runtime.program.runner import EndedAtOnce, Interrupting
@@ -65,21 +66,21 @@ NO_DRIVERS: Drivers = {}
 
 
 def main(
-    program: Program,
+    program: Program | FleetProgram,
     platform_type: PlatformType,
     root: Path,
     argv: Sequence[str],
     drivers: Drivers = NO_DRIVERS,
-    properties: Properties | None = None,
+    properties: Mapping[str, Properties] | Properties | None = None,
 ) -> int:
     """Run the program of a robot. Return the exit status.
 
-    program: the compiled program.
+    program: the compiled program, or all applications of the fleet.
     platform_type: class that creates the platform, the code for the vehicle.
     root: folder of the bundle, which contains the settings.
     argv: arguments of the command line.
     drivers: module -> function that creates the driver of a module that the platform does not offer.
-    properties: monitored properties; None if the program has none.
+    properties: monitored properties, of each application by its name if there are several; None: none.
     """
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
@@ -99,18 +100,15 @@ def main(
             )
         if arguments.status:
             return _status(settings, key, arguments.format)
-        Layout(program.shared, len(settings.peers))
-        wrong = wrong_first_value(program)
+        fleet = fleet_program(program, settings)
+        wrong = _load(fleet, settings.pid)
         if wrong is not None:
             return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
-        if program.library is not None:
-            program.library.load()  # importing now, because it may take longer than a round
         if reason := inbox.accelerator():  # compiles now if needed, which may take longer than a round
             _print_message("warning", f"{inbox.PYTHON_COSTS}: {reason}")
         platform = platform_type(settings, key)
-        platform = with_drivers(platform, program, drivers)
-        watched = properties or without_properties(program)
-        return _run(program, settings, key, platform, root, watched, quiet=arguments.quiet)
+        platform = with_drivers(platform, fleet.of(settings.pid), drivers)
+        return _run(fleet, settings, key, platform, root, _watched(fleet, properties), quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:
@@ -126,7 +124,27 @@ def main(
             platform.close()
 
 
-def _print_results(program: Program, results: Iterator[Finding], arguments: argparse.Namespace) -> int:
+def _load(fleet: FleetProgram, robot: int) -> str | None:
+    """Check the programs of a robot, and import their functions now, because that may take longer than a round.
+
+    Return a message about a wrong first value; None if all are right. Raises TooLarge and BadExtern."""
+    Layout.of(fleet)
+    for program in programs_of(fleet, robot):
+        wrong = wrong_first_value(program)
+        if wrong is not None:
+            return wrong
+        if program.library is not None:
+            program.library.load()
+    return None
+
+
+def _watched(fleet: FleetProgram, found: Mapping[str, Properties] | Properties | None) -> dict[str, Properties]:
+    """Return the properties of each application by its name. `found`: see `main`."""
+    given = found if isinstance(found, Mapping) else {fleet.applications[0].name: found}
+    return {a.name: given.get(a.name) or without_properties(a.program) for a in fleet.applications}
+
+
+def _print_results(program: Program | FleetProgram, results: Iterator[Finding], arguments: argparse.Namespace) -> int:
     """Print the results of checks: all of them for `--doctor`, up to the first failure for `--check`."""
     return print_checks(program.name, results, arguments.format) if arguments.doctor else print_briefly(results)
 
@@ -141,7 +159,7 @@ def settle_collector() -> None:
     gc.set_threshold(YOUNG)
 
 
-def _arguments(program: Program, argv: Sequence[str]) -> argparse.Namespace | int:
+def _arguments(program: Program | FleetProgram, argv: Sequence[str]) -> argparse.Namespace | int:
     parser = argparse.ArgumentParser(
         prog=f"python3 <bundle of {program.name}>",
         description=f"Runs one robot of {program.name}.",
@@ -194,12 +212,12 @@ def _status(settings: Settings, key: bytes | None, form: str) -> int:
 
 
 def _run(
-    program: Program,
+    program: FleetProgram,
     settings: Settings,
     key: bytes | None,
     platform: Platform,
     root: Path,
-    properties: Properties | None,
+    properties: Mapping[str, Properties],
     quiet: bool,
 ) -> int:
     def emit(level: str, line: str) -> None:
@@ -309,7 +327,7 @@ class _Signals:
             raise EndedAtOnce
 
 
-def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointFile:
+def _open_store(program: FleetProgram, settings: Settings, root: Path) -> CheckpointFile:
     """Open the checkpoint file of the robot.
 
     The file is beside the bundle's folder, so that the bundle can be replaced as a whole.
@@ -323,7 +341,8 @@ def _open_store(program: Program, settings: Settings, root: Path) -> CheckpointF
         path = None
     else:
         path = root.resolve().parent / settings.state / f"{settings.robot}.state"
-    return CheckpointFile.open(path, program, settings.robot, settings.pid, len(settings.peers), warn)
+    pid, instances = settings.pid, len(program.of_robot(settings.pid))
+    return CheckpointFile.open(path, program.of(pid), settings.robot, pid, len(settings.peers), warn, instances)
 
 
 def _open_trace(settings: Settings) -> Trace:

@@ -23,13 +23,12 @@ class Mission(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_field
 
 
 class Locals(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """Record of a robot's private state after the event of a round.
+    """Record of the private states of a robot's instances after the events of a round.
 
-    round: round of the event.
+    round: round of the last event.
     incarnation: incarnation of the robot when it ran the event.
-    locals: private variables, encoded by LocalsCodec.
-    actuators: latest actuator values, encoded by LocalsCodec.
-    stopped: whether the program has stopped the robot.
+    locals, actuators: private variables and latest actuator values, encoded by LocalsCodec.
+    stopped: whether the programs of all instances have stopped.
     """
 
     round: int

@@ -1,4 +1,6 @@
-"""Rounds of a mission on one robot: in each round, at most one event runs and one entry is sent.
+"""Rounds of a mission on one robot: in each round, each instance runs at most one event, and one entry is sent.
+
+A robot has one instance for each application that it runs, mostly one.
 
 Round r begins at start + (r-1) * delta of fleet time. The event of round r needs the entries of round r-1 of all
 members. Entries that are missing at the beginning of the round may still arrive until the publish deadline. The robot
@@ -12,13 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from msgspec.structs import replace
-
-from koordgen.runtime.agent.output_commit import AHEAD, OutputCommit, has_outputs
+from koordgen.runtime.agent.instance import AgentInstance, InstanceRun
+from koordgen.runtime.agent.output_commit import AHEAD, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import RoundCounters
 from koordgen.runtime.net.wire import ReplicaMessage
-from koordgen.runtime.program.program import Effects, Frame, Life
 from koordgen.runtime.program.runner import (
     FAULT,
     LATE,
@@ -28,15 +28,13 @@ from koordgen.runtime.program.runner import (
     NOT_CURRENT,
     STOPPED,
     WOKE_LATE,
-    EventResult,
-    Runner,
 )
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
-from koordgen.runtime.replication.state_machine import StateMachine
+from koordgen.runtime.replication.state_machine import InstanceEvent, StateMachine
 from koordgen.runtime.trace.monitored import OWN, SENSED, SHARED, Observation
 from koordgen.runtime.trace.writer import Observe, RoundRecord
-from koordgen.runtime.vehicle.interface import VehicleInterface, unusable
+from koordgen.runtime.vehicle.interface import VehicleInterface
 from koordgen.runtime.vehicle.platform import Sensed
 
 PUBLISH = 0.5  # publish deadline as a fraction of the round; the round's entry must be sent before the deadline
@@ -63,28 +61,28 @@ class Lost(Exception):
 class Rounds:
     """Rounds of one robot.
 
-    runner: runs the events of the program.
-    driver: drives the replica of the shared store. The private state that it persists is a pair: a Life (private
-        variables and actuator values after an event), and the robot's incarnation.
+    instances: the robot's instances by their numbers.
+    driver: drives the replica of the shared store. The private state that it persists is a pair: the Life of each
+        instance (private variables and actuator values after its last event), and the robot's incarnation.
     start: fleet time of round 1, in seconds.
     delta: duration of a round, in seconds.
-    lives: private states from which the robot may continue, by ascending round.
     observe: function that is called with the record of each round once the round is committed.
     """
 
     def __init__(
         self,
-        runner: Runner,
+        instances: Sequence[AgentInstance],
         body: VehicleInterface,
         driver: Driver,
         clock: FleetClock,
         names: tuple[str, ...],
         start: float,
         delta: float,
-        lives: list[Life],
         observe: Observe,
     ) -> None:
-        self._runner = runner
+        self._instances = tuple(instances)
+        self._outputs = tuple([i.outputs for i in instances])
+        self._awaited: int | None = None  # first round whose outputs wait for a commit; None if no outputs wait
         self._body = body
         self._driver = driver
         self._replica, self._pid = driver.replica, driver.replica.pid
@@ -99,22 +97,22 @@ class Rounds:
         self._policy = self._replica.policy
         self._left = False
         self._handled = 0  # last applied round whose outputs were handled and whose application was reported
-        self._restored: Life | None = None  # private state that a rejoin has restored; the next record reports it
-        self._outputs = OutputCommit(lives[0])
-        self._outputs.lives = list(lives)
         self._store_changes = self._replica.store_changes
         self._view = self._replica.views.view.number  # number of the latest view in which this robot has sent a report
-        self.stopped = self._outputs.life.stopped
+        self._note_stopped()  # sets `stopped`
         self.counters = RoundCounters()
         self.reason: str | None = None  # reason why no event ran in the last closed round; None if an event ran
-        self.watched = False  # True if monitors need `observation`
-        self.observation: Observation | None = None  # observation at the beginning of the last closed round
 
     @property
     def lacking(self) -> list[str]:
         """Names of the robots whose entries are missing for the present round."""
         state = self._replica.state
         return [] if state is None else [self._names[p] for p in state.missing(self.round - 1)]
+
+    @property
+    def observation(self) -> Observation | None:
+        """Observation of the first instance at the beginning of the last closed round; see AgentInstance."""
+        return self._instances[0].observation if self._instances else None
 
     @property
     def over(self) -> bool:
@@ -197,8 +195,10 @@ class Rounds:
         """Handle a changed store or view. Then run the event or close the round, if it is time."""
         state = self._replica.state
         if state is None:
-            for record in self._outputs.ready(None):
-                self._observe(record)
+            for instance in self._instances:
+                for record in instance.outputs.ready(None):
+                    self._observe(record)
+            self._note_awaited()
             if self._present.open:
                 self._decide(now, into, False, unready)
             return
@@ -208,8 +208,10 @@ class Rounds:
             self._view = state.view.number
             self._replica.send_report(self.round)
             self._driver.flush()
-        if self._outputs.pressing:
-            self._settle(now)
+        for outputs in self._outputs:
+            if outputs.pressing:
+                self._settle(now)
+                break
         if self._present.open:
             is_member = state.view.members[self._pid] >= 0
             self._decide(now, into, state.applied == self.round - 1 and not state.is_frozen and is_member, unready)
@@ -221,7 +223,12 @@ class Rounds:
     def _is_calm(self, state: StateMachine) -> bool:
         """Return whether the store, the view and the waiting records are unchanged since the last poll."""
         same = self._store_changes == self._replica.store_changes and state.view.number == self._view
-        return same and state.applied == self._handled and not self._outputs.can_settle(state)
+        if not same or state.applied != self._handled:
+            return False
+        for outputs in self._outputs:  # noqa: SIM110 (`all` costs twice as much)
+            if outputs.can_settle(state):
+                return False
+        return True
 
     def _local_time_at(self, part: float) -> float:
         """Return the local time at which the fraction `part` of the present round has passed."""
@@ -237,50 +244,84 @@ class Rounds:
         self.counters.rounds += 1
 
     def _come_back(self, state: StateMachine, now: float) -> None:
-        """Continue after a rejoin, with the private state after this robot's last event that the fleet counts."""
+        """Continue after a rejoin, with the private state after each instance's last event that the fleet counts."""
         self._store_changes = self._replica.store_changes
-        acted = state.acted[self._pid]
-        life, records = self._outputs.settle(acted)
-        if life is None:
-            raise Lost(
-                f"the last event of this robot that counts was in round {acted}, and the robot's private variables "
-                "after that round are no longer stored: it cannot rejoin this mission; end all robots and start again"
-            )
-        self._runner.locals, self.stopped = life.locals, life.stopped
-        self._restored = life
-        self._body.restore(life.actuators, now)
-        self._body.hold(STOPPED, self.stopped, now)
-        for record in records:
+        actuators: dict[str, Any] = {}
+        records: list[RoundRecord] = []
+        for instance in self._instances:
+            acted = state.acted[instance.number]
+            life, found = instance.outputs.settle(acted)
+            if life is None:
+                raise Lost(
+                    f"the last event of this robot that counts was in round {acted}, and the robot's private variables "
+                    "after that round are no longer stored: it cannot rejoin this mission; end all robots and start "
+                    "again"
+                )
+            instance.runner.locals, instance.stopped, instance.restored = life.locals, life.stopped, life
+            actuators.update(life.actuators)
+            records += found
+        self._note_awaited()
+        self._note_stopped()
+        self._body.restore(actuators, now)
+        self._body.hold(STOPPED, self.is_vehicle_stopped, now)
+        for record in sorted(records, key=_round_of):
             self._observe(record)
         # The other robots have no entry of this round with the robot's new incarnation, so a silent entry is sent.
         if not self._present.open and self._replica.published < self.round:
             self._replica.propose(self.round, {}, stopped=self.stopped)
             self._driver.run()
 
+    @property
+    def is_vehicle_stopped(self) -> bool:
+        """True if an instance that commands the vehicle has stopped, or the robot has no instance."""
+        driving = [i.stopped for i in self._instances if i.drives]
+        return any(driving) if self._instances else True
+
     def _settle(self, now: float) -> None:
         """Carry out the outputs of committed events, and handle transactions whose result is known."""
-        state, outputs = self._replica.state, self._outputs
+        state = self._replica.state
         assert state is not None
-        won = outputs.decide(state)
-        if won:
-            self._runner.locals = outputs.life.locals
-            self.stopped = self.stopped or outputs.life.stopped
-        elif won is False:
-            self.counters.lost_contention += 1
+        for outputs in self._outputs:
+            if outputs.can_settle(state):
+                self._settle_all(state, now)
+                break
+        if self._awaited is None:
+            self._body.hold(NOT_CONFIRMED, False, now)
+
+    def _settle_all(self, state: StateMachine, now: float) -> None:
+        """Handle all records whose result is known, by ascending round."""
+        lost = False
+        records: list[tuple[AgentInstance, RoundRecord]] = []
+        for instance in self._instances:
+            outputs = instance.outputs
+            won = outputs.decide(state)
+            if won:
+                instance.runner.locals = outputs.life.locals
+                instance.stopped = instance.stopped or outputs.life.stopped
+                self._note_stopped()
+            elif won is False:
+                lost = True
+                self.counters.lost_contention += 1
+                instance.count("lost_contention")
+            for record in outputs.ready(state):
+                records.append((instance, record))
+        if lost:
             # The checkpoint holds few private states. Overwrite the state after the lost transaction, so that repeated
             # losses never push a valid state out of the checkpoint.
-            self._driver.persist_private((outputs.life, state.view.members[self._pid]))
-        for record in outputs.ready(state):
+            self._driver.persist_private(([outputs.life for outputs in self._outputs], state.view.members[self._pid]))
+        if len(records) > 1 and len(self._outputs) > 1:
+            records.sort(key=_round_of_pair)
+        for instance, record in records:
             effects = record.effects
             if effects is not None:
                 self._body.command(effects.actuators, now)
-                self._body.hold(STOPPED, effects.stopped or self.stopped, now)
+                if instance.drives:
+                    self._body.hold(STOPPED, effects.stopped or self.is_vehicle_stopped, now)
             self._observe(record)
-        if outputs.first is None:
-            self._body.hold(NOT_CONFIRMED, False, now)
+        self._note_awaited()
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
-        """Run an event, or close the round without an event, or keep the round open for missing entries.
+        """Run events, or close the round without an event, or keep the round open for missing entries.
 
         into: seconds since the beginning of the round.
         current: the store contains all earlier rounds, and this robot is a member.
@@ -302,34 +343,94 @@ class Rounds:
                 return
             if reason is None and overdue:
                 reason = WOKE_LATE
-        if reason is None:
-            reason = unusable(sensors) or unready
         late = lagging or reason == WOKE_LATE
+        hindrances = [reason or instance.hindrance(sensors, unready) for instance in self._instances]
+        is_hindered = None not in hindrances
         self.counters.current += current
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
-        self.reason = reason
-        self.observation = (
-            self._observation(now, sensed.time, sensors, current) if self.watched and not self._left else None
-        )
+        self.reason = hindrances[0] if is_hindered and hindrances else reason
+        for instance in self._instances:
+            if instance.watched:
+                instance.observation = (
+                    None if self._left else self._observation(instance, now, sensed.time, sensors, current)
+                )
         self._body.hold(NOT_CURRENT, lagging and not current, now)
-        self._body.hold(NOT_CONFIRMED, self._outputs.first is not None, now)
-        if reason is not None:
+        self._body.hold(NOT_CONFIRMED, self._awaited is not None, now)
+        runs: list[InstanceRun] = []
+        if is_hindered:
             self.counters.skipped += 1
-            self._close()
-            self._wait(RoundRecord(self.round, now, into, sensors, None, skipped=reason))
-            return
-        state = self._replica.state
+            self._close(runs)
+        else:
+            runs = self._run_events(sensors, hindrances, now)
+            self._close(runs)
+        self._record(runs, hindrances, sensors, now, into)
+
+    def _run_events(
+        self, sensors: Mapping[str, Any], hindrances: Sequence[str | None], now: float
+    ) -> list[InstanceRun]:
+        """Run an event of each instance without a hindrance. Return the runs by instance."""
+        state, instances = self._replica.state, self._instances
         assert state is not None
         self._body.others(state.shared)
-        frame = self._runner.frame(state.shared, sensors, self._body.actuators, self._body.call)
-        self._finish(self._runner.step(frame, self._local_time_at(PUBLISH)), frame, now, into)
+        deadline = self._local_time_at(PUBLISH)
+        if len(instances) == 1:
+            runs = [self._run_event(0, state.shared, sensors, deadline)]
+        else:
+            runs = self._divide_time(state.shared, sensors, hindrances, deadline)
+        is_faulty = False
+        for instance in instances:
+            if instance.is_faulty and instance.drives:
+                is_faulty = True
+        self._body.hold(FAULT, is_faulty, now)
+        return runs
 
-    def _observation(self, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool) -> Observation:
+    def _divide_time(
+        self, shared: Mapping[str, Any], sensors: Mapping[str, Any], hindrances: Sequence[str | None], deadline: float
+    ) -> list[InstanceRun]:
+        """Run the events of several instances, which divide the time up to the deadline by their shares.
+
+        Time that one leaves goes to the next ones. The first place rotates with the round, so that no instance always
+        comes last."""
+        count = len(self._instances)
+        first = self.round % count
+        waiting = [place for place in (*range(first, count), *range(first)) if hindrances[place] is None]
+        runs: list[InstanceRun] = []
+        for index, place in enumerate(waiting):
+            began = self._instances[place].now()
+            shares = [self._instances[p].share for p in waiting[index:]]
+            until = began + (deadline - began) * shares[0] / sum(shares) if len(shares) > 1 else deadline
+            runs.append(self._run_event(place, shared, sensors, until))
+        return sorted(runs, key=_place_of)
+
+    def _run_event(
+        self, place: int, shared: Mapping[str, Any], sensors: Mapping[str, Any], until: float
+    ) -> InstanceRun:
+        """Run an event of one instance, up to a local time."""
+        instance, body = self._instances[place], self._body
+        frame = instance.frame(shared, sensors, body.actuators, body.call)
+        result = instance.runner.step(frame, until)
+        instance.is_faulty = result.fault is not None
+        return InstanceRun(place, instance, frame, result, body.calls())
+
+    def _observation(
+        self, instance: AgentInstance, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool
+    ) -> Observation:
         """Return the observation for monitors: sensors, variables and actuators before this round's event."""
-        state, own, body = self._replica.state, self._runner.locals, self._body.actuators
-        if state is None or self._outputs.first is not None or self._outputs.undecided:
-            return Observation(self.round, now, SENSED, sensed, sensors, own, {}, body)
-        return Observation(self.round, now, SHARED if current else OWN, sensed, sensors, own, state.shared, body)
+        state, own, body = self._replica.state, instance.runner.locals, instance.actuators(self._body.actuators)
+        seen = instance.sensors(sensors)
+        if state is None or instance.outputs.first is not None or instance.outputs.undecided:
+            return Observation(self.round, now, SENSED, sensed, seen, own, {}, body)
+        shared = instance.shared(state.shared)
+        return Observation(self.round, now, SHARED if current else OWN, sensed, seen, own, shared, body)
+
+    def _note_awaited(self) -> None:
+        """Update `_awaited` after a change of the outputs that wait."""
+        found: int | None = None
+        for outputs in self._outputs:
+            first = outputs.first
+            if first is not None and (found is None or first < found):
+                found = first
+        self._awaited = found
 
     def _unsettled(self, current: bool) -> str | None:
         """Return the reason why the shared memory does not allow an event; None if it does."""
@@ -340,8 +441,8 @@ class Rounds:
             if state.is_frozen:
                 return f"{NOT_CURRENT}: the fleet decides which robots count"
             return f"{NOT_CURRENT}: lacks {', '.join(self.lacking)}"
-        if self._outputs.first is not None or self._outputs.undecided:
-            unaware = self._replica.unaware(self._outputs.first or round_ - 1)
+        if self._awaited is not None or any(outputs.undecided for outputs in self._outputs):
+            unaware = self._replica.unaware(self._awaited or round_ - 1)
             return (
                 f"{NOT_CONFIRMED}: waits for the acknowledgement of a majority, not heard from {self._named(unaware)}"
             )
@@ -354,48 +455,82 @@ class Rounds:
     def _named(self, pids: list[int]) -> str:
         return ", ".join(self._names[p] for p in pids)
 
-    def _finish(self, result: EventResult, frame: Frame, now: float, into: float) -> None:
-        """Close a round after its event. The entry is urgent, so it is sent before the record is made."""
-        fault, effects = result.fault, result.effects
-        self._body.hold(FAULT, fault is not None, now)
-        life = self._close(effects, result.lock)
-        if fault is not None:
-            self.counters.faults += 1
-            self.counters.discarded += fault.reason == LATE
-        skipped = None if effects is not None else NO_EVENT if fault is None else FAULT
-        calls = self._body.calls()
-        record = RoundRecord(self.round, now, into, frame.sensors, frame, result.event, effects, skipped, fault, calls)
-        self._wait(record, result.lock, life)
-
-    def _close(self, effects: Effects | None = None, lock: int = -1) -> Life | None:
-        """Persist the private state after the event, send the round's entry, and return the private state.
-
-        Return None if the round had no event with effects.
-        """
-        state = self._replica.state
+    def _close(self, runs: Sequence[InstanceRun]) -> None:
+        """Persist the private states after the events, and send the round's entry."""
+        state, body = self._replica.state, self._body
         self._present.open = False
-        life = private = None
-        if effects is not None:
+        private = None
+        awaits_commit = False
+        acted = [run for run in runs if run.result.effects is not None]
+        if acted:
             assert state is not None
-            actuators = {**self._body.actuators, **effects.actuators}
-            life = Life(self.round, effects.locals, actuators, effects.stopped or self.stopped)
-            if lock < 0:
-                self._runner.locals, self.stopped = life.locals, life.stopped
-            private = life, state.view.members[self._pid]
+            lives = [outputs.life for outputs in self._outputs]
+            for run in acted:
+                instance, effects = run.instance, run.result.effects
+                assert effects is not None
+                life = run.life = lives[run.place] = instance.life(self.round, effects, body.actuators)
+                awaits_commit = awaits_commit or has_outputs(effects)
+                if run.result.lock < 0:
+                    instance.runner.locals, instance.stopped = life.locals, life.stopped
+            self._note_stopped()
+            private = lives, state.view.members[self._pid]
         self.counters.out += state is None
-        stopped = self.stopped or self._left or (life is not None and life.stopped)
-        self._replica.propose(
-            self.round, effects.shared if effects else {}, stopped=stopped, acted=life is not None,
-            awaits_commit=has_outputs(effects), lock=lock, private=private,
-        )  # fmt: skip
+        stopped = self.stopped or self._left
+        if len(self._instances) > 1:
+            self._replica.propose(
+                self.round, {}, stopped=stopped, awaits_commit=awaits_commit, private=private,
+                parts=[_event(run) for run in acted],
+            )  # fmt: skip
+        elif acted:
+            result, effects = acted[0].result, acted[0].result.effects
+            assert effects is not None
+            self._replica.propose(
+                self.round, effects.shared, stopped=stopped or effects.stopped, acted=True,
+                awaits_commit=awaits_commit, lock=result.lock, private=private,
+            )  # fmt: skip
+        else:
+            self._replica.propose(self.round, {}, stopped=stopped)
         self._driver.run()
-        return life
 
-    def _wait(self, record: RoundRecord, lock: int = -1, life: Life | None = None) -> None:
-        """Queue the record of a round until the round is committed."""
-        if self._restored is not None:
-            record, self._restored = replace(record, restored=self._restored), None
-        self._outputs.add(record, lock, life)
+    def _note_stopped(self) -> None:
+        """Update `stopped`: the robot has stopped when all its instances have."""
+        self.stopped = True
+        for instance in self._instances:
+            if not instance.stopped:
+                self.stopped = False
+
+    def _record(
+        self,
+        runs: Sequence[InstanceRun],
+        hindrances: Sequence[str | None],
+        sensors: Mapping[str, Any],
+        now: float,
+        into: float,
+    ) -> None:
+        """Queue the records of a closed round until it is committed. The entry is urgent, so it was sent before."""
+        for run in runs:
+            instance, result, frame = run.instance, run.result, run.frame
+            fault, effects = result.fault, result.effects
+            if fault is not None:
+                self.counters.faults += 1
+                self.counters.discarded += fault.reason == LATE
+                instance.count("faults")
+            skipped = None if effects is not None else NO_EVENT if fault is None else FAULT
+            record = RoundRecord(
+                self.round, now, into, frame.sensors, frame, result.event, effects, skipped, fault, run.calls,
+                instance.restored, instance.application,
+            )  # fmt: skip
+            instance.restored = None
+            instance.outputs.add(record, result.lock, run.life)
+        for instance, reason in zip(self._instances, hindrances, strict=True):
+            if reason is not None:
+                record = RoundRecord(
+                    self.round, now, into, instance.sensors(sensors), None, skipped=reason, restored=instance.restored,
+                    application=instance.application,
+                )  # fmt: skip
+                instance.restored = None
+                instance.outputs.add(record)
+        self._note_awaited()
 
     def _acknowledge(self, applied: int) -> None:
         """Report that this robot has applied the present round, to the robots that wait for this report."""
@@ -409,7 +544,7 @@ class Rounds:
         present, state = self._present, self._replica.state
         if state is None:
             return self._next_tick(tick)
-        waited = self._outputs.first
+        waited = self._awaited
         if fresh and self._replica.request(tick, on_time, waited):
             self.counters.asked += 1
             self._driver.flush()
@@ -423,3 +558,21 @@ class Rounds:
     def _next_tick(self, tick: int) -> float:
         next_ = TICKS if self._policy.is_hurried(self.round) and not self._replica.is_busy else tick + 1
         return self._local_time_at(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))
+
+
+def _event(run: InstanceRun) -> InstanceEvent:
+    effects, life = run.result.effects, run.life
+    assert effects is not None and life is not None
+    return InstanceEvent(run.place, effects.shared, life.stopped, run.result.lock)
+
+
+def _place_of(run: InstanceRun) -> int:
+    return run.place
+
+
+def _round_of(record: RoundRecord) -> int:
+    return record.round
+
+
+def _round_of_pair(pair: tuple[AgentInstance, RoundRecord]) -> int:
+    return pair[1].round

@@ -1,4 +1,6 @@
-"""Wire layout of a program's shared variables: indices, types, initial values and largest lengths."""
+"""Wire layout of a fleet's shared variables: indices, types, initial values and largest lengths.
+
+It says as well which instance may write which variable, so that an entry with other writes is refused."""
 
 from __future__ import annotations
 
@@ -10,18 +12,31 @@ import msgspec
 
 from koordgen.runtime.net.codec import encoder, overhead
 from koordgen.runtime.net.patch import difference, patched
-from koordgen.runtime.net.wire import LIMIT, MAX_ROBOTS, MOST_FRAGMENTS, Entry, Write
+from koordgen.runtime.net.wire import (
+    LIMIT,
+    MAX_INSTANCES,
+    MAX_ROBOTS,
+    MOST_FRAGMENTS,
+    MOST_WRITES,
+    Contribution,
+    Entry,
+    EntryPart,
+    Write,
+)
+from koordgen.runtime.program.fleet_program import FleetProgram, StoreAccess, alone
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible
 
 MOST_ENTRY = 128 * 1024  # largest size of one robot's entry of one round, in bytes
-MOST_SHARED = 256  # largest number of shared variables, and therefore of writes in an entry
+MOST_SHARED = MOST_WRITES  # largest number of shared variables
 PATCH_FROM = 256  # bytes; a shorter value is sent whole, because computing a patch costs more than it saves
 
 # Bytes of an encoded entry without its writes: array, author, 3 numbers (incarnation, first, round), 3 bools, lock,
 # array of writes.
 _ENTRY = 1 + 1 + 3 * 9 + 3 + 3 + 3
+_PARTS = 3  # bytes of the map of an entry's parts, without the parts
+_PART = 3 + 1 + 2 + 3 + 3  # bytes of an encoded part without its writes: key, array, 2 bools, lock, array of writes
 _WRITE = 1 + 3 + 1  # bytes of an encoded write without its value: array, index, bool
 _PLAIN = str, int, float, bool  # types whose values are equal after encoding and decoding
 _parts = msgspec.msgpack.Decoder(list[msgspec.Raw])
@@ -38,10 +53,38 @@ class Unpatched:
     patch: bytes
 
 
-class Layout:
-    """Shared variables of one program in a fleet of `n_sys` robots. Raises TooLarge."""
+class Author:
+    """An instance as an author of writes.
 
-    def __init__(self, shared: Sequence[Variable], n_sys: int) -> None:
+    number, application, pid: see RobotInstance.
+    indices: name in its program -> index of the variable, of those that the instance may write.
+    allowed: these indices; None: all.
+    locks: locks that its events may want; None: any.
+    """
+
+    __slots__ = ("allowed", "application", "indices", "locks", "number", "pid")
+
+    def __init__(self, number: int, application: int, pid: int, access: StoreAccess, variables: int) -> None:
+        self.number, self.application, self.pid = number, application, pid
+        self.indices = access.indices
+        self.locks = access.locks
+        allowed = frozenset(access.indices.values())
+        self.allowed = None if len(allowed) == variables else allowed
+
+    def may_want(self, lock: int) -> bool:
+        """Return whether an event of the instance may have this lock, or none (-1)."""
+        return lock < 0 or self.locks is None or lock in self.locks
+
+
+class Layout:
+    """Shared variables of a fleet of `n_sys` robots. Raises TooLarge.
+
+    access: for each application, what it may write; empty: one application on all robots declares all variables.
+    authors: for each robot, its instances by their numbers.
+    instances: number of all instances.
+    """
+
+    def __init__(self, shared: Sequence[Variable], n_sys: int, access: Sequence[StoreAccess] = ()) -> None:
         self.n_sys = n_sys
         self.names = tuple(v.name for v in shared)
         self.is_slots = tuple(v.kind == "allread" for v in shared)
@@ -49,12 +92,30 @@ class Layout:
         self._decoders = tuple(msgspec.msgpack.Decoder(v.type) for v in shared)
         self._plain = tuple(v.type if v.type in _PLAIN else None for v in shared)
         self._fits = tuple([_fits(v) for v in shared])
-        self._by_name = {v.name: i for i, v in enumerate(shared)}
         self._encoded: dict[int, tuple[Any, bytes]] = {}
+        access = access or alone(shared, n_sys)
+        self.is_composed = len(access) > 1
+        self.authors, self.instances = _authors(access, n_sys, len(shared))
+        self._slots = tuple([len(a.members) for a in access for _ in range(a.owned)])  # of each variable, if allread
+        self._check_sizes()
+
+    @classmethod
+    def of(cls, fleet: FleetProgram) -> Layout:
+        """Return the layout of all applications of a fleet."""
+        return cls(fleet.shared(), fleet.robots, fleet.access())
+
+    def _check_sizes(self) -> None:
+        n_sys, shared = self.n_sys, self._shared
         if n_sys > MAX_ROBOTS:
             raise TooLarge(f"a fleet of {n_sys} robots; at most {MAX_ROBOTS} are supported")
+        if self.instances > MAX_INSTANCES:
+            raise TooLarge(
+                f"the applications run {self.instances} times on all robots together; at most {MAX_INSTANCES} are "
+                "supported"
+            )
         if len(shared) > MOST_SHARED:
-            raise TooLarge(f"a program with {len(shared)} shared variables; at most {MOST_SHARED} are supported")
+            what = "applications" if self.is_composed else "a program"
+            raise TooLarge(f"{what} with {len(shared)} shared variables; at most {MOST_SHARED} are supported")
         needed, most = self.entry_bytes, most_entry(n_sys)
         if needed > most:
             raise TooLarge(
@@ -69,31 +130,40 @@ class Layout:
 
     @property
     def entry_bytes(self) -> int:
-        """Largest length of an encoded entry, in bytes."""
-        return _ENTRY + sum(_WRITE + v.bound.bytes for v in self._shared)
+        """Largest length of an encoded entry of any robot, in bytes."""
+        return _ENTRY + max([self._contributed(authors) for authors in self.authors], default=0)
+
+    def _contributed(self, authors: Sequence[Author]) -> int:
+        """Return the largest length of the writes of a robot's instances, in bytes."""
+        parts = _PARTS + _PART * len(authors) if len(authors) > 1 else 0
+        return parts + sum([_WRITE + self._shared[i].bound.bytes for a in authors for i in a.indices.values()])
 
     @property
     def snapshot_bytes(self) -> int:
         """Largest length of an encoded snapshot, in bytes."""
-        n, array = self.n_sys, 1 if self.n_sys < 16 else 3
-        view = 1 + 2 * 9 + array + 9 * n
-        beside = 1 + view + 9 + (1 if len(self._shared) < 16 else 3) + (array + 9 * n) + (array + 5 * n)
-        return beside + sum(array + n * v.bound.bytes if v.kind == "allread" else v.bound.bytes for v in self._shared)
+        n = self.n_sys
+        view = 1 + 2 * 9 + _array(n) + 9 * n
+        instances = 2 * _array(self.instances) + (9 + 5) * self.instances
+        beside = 1 + view + 9 + _array(len(self._shared)) + instances
+        return beside + sum(
+            _array(slots) + slots * v.bound.bytes if v.kind == "allread" else v.bound.bytes
+            for v, slots in zip(self._shared, self._slots, strict=True)
+        )
 
     def initial(self) -> dict[str, Any]:
         """Return name -> initial value of each shared variable. An allread variable is the tuple of its slots."""
         values = {v.name: v.initial() for v in self._shared}
         return {
-            name: (value,) * self.n_sys if slots else value
-            for (name, value), slots in zip(values.items(), self.is_slots, strict=True)
+            name: (value,) * count if slots else value
+            for (name, value), slots, count in zip(values.items(), self.is_slots, self._slots, strict=True)
         }
 
-    def base(self, index: int, store: Mapping[str, Any], author: int) -> Any:
+    def base(self, index: int, store: Mapping[str, Any], slot: int) -> Any:
         """Return the value in `store` that an author's write replaces.
 
         For an allread variable this is the author's slot, else the value of the variable."""
         value = store[self.names[index]]
-        return value[author] if self.is_slots[index] else value
+        return value[slot] if self.is_slots[index] else value
 
     def pack(self, store: Mapping[str, Any]) -> tuple[msgspec.Raw, ...]:
         """Encode the whole store for a robot that rejoins."""
@@ -110,29 +180,30 @@ class Layout:
             except (ValueError, RecursionError):
                 return None
             found = tuple([self._value(index, part) for part in parts])
-            if len(found) != (self.n_sys if slots else 1) or None in found:
+            if len(found) != (self._slots[index] if slots else 1) or None in found:
                 return None
             store[name] = found if slots else found[0]
         return store
 
     def written(
-        self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, author: int = 0
+        self, shared: Mapping[str, Any], store: Mapping[str, Any] | None = None, robot: int = 0, place: int = 0
     ) -> tuple[tuple[Write, ...], Sequence[tuple[int, Any]] | None]:
-        """Return the encoded writes of an author's event, and their values as `read` returns them.
+        """Return the encoded writes of an event, and their values as `read` returns them.
 
-        shared: name -> value that the event wrote.
+        shared: name in the program -> value that the event wrote.
+        robot, place: the instance that ran the event: number `place` of those of the robot.
         store: shared variables at the beginning of the round. A large value that differs little from its value in
             `store` is encoded as a patch.
         A number or text of exactly the variable's type is equal after encoding and decoding, so it is not decoded. The
         second result is None if a value does not fit the program."""
+        author = self.authors[robot][place]
         writes: list[Write] = []
         values: list[tuple[int, Any]] = []
-        for index in sorted([self._by_name[name] for name in shared]):
-            item = shared[self.names[index]]
+        for index, item in sorted([(author.indices[name], item) for name, item in shared.items()], key=_first):
             whole = encoder.encode(item)
             patch = None
             if len(whole) > PATCH_FROM and store is not None:
-                patch = difference(self._encoding(index, self.base(index, store, author)), whole)
+                patch = difference(self._encoding(index, self.base(index, store, author.pid)), whole)
             if patch is not None:
                 whole, item = patch, Unpatched(patch)
             elif type(item) is not self._plain[index]:
@@ -143,22 +214,56 @@ class Layout:
             values.append((index, item))
         return tuple(writes), None if any(item is None for _, item in values) else values
 
-    def read(self, entry: Entry) -> Sequence[tuple[int, Any]] | None:
-        """Return the values of an entry as pairs (index of the variable, value).
+    def read(self, entry: Entry) -> Sequence[Contribution] | None:
+        """Return the events in an entry, by instance.
 
-        For a patch, the value is an Unpatched object. Return None if the entry does not fit this program."""
-        first, round_, writes = entry.first, entry.round, entry.writes
+        Return None if the entry does not fit this fleet: its author must run the instances, and each instance must be
+        allowed to write the variables and to want the lock."""
+        first, round_, writes, lock = entry.first, entry.round, entry.writes, entry.lock
         if entry.author >= self.n_sys or first > round_:
             return None
-        if first != round_ and (writes or entry.acted or entry.lock >= 0):
-            return None
-        if not writes:
+        if not (writes or entry.acted or lock >= 0):  # silent
             return ()
+        if first != round_:
+            return None
+        authors = self.authors[entry.author]
+        if isinstance(writes, dict):
+            return self._read_parts(entry, authors, writes)
+        if len(authors) != 1:
+            return None
+        author = authors[0]
+        values = self._read(author, writes) if writes else ()
+        if values is None or (lock >= 0 and not author.may_want(lock)):
+            return None
+        return (Contribution(author.number, author.pid, lock, entry.acted, False, values),)
+
+    def _read_parts(
+        self, entry: Entry, authors: Sequence[Author], parts: Mapping[int, EntryPart]
+    ) -> Sequence[Contribution] | None:
+        """Return the events of an entry whose author runs several instances. Parameters and result: see `read`."""
+        found: list[Contribution] = []
+        acted = False
+        if len(authors) < 2 or entry.lock >= 0:
+            return None
+        for author in authors:
+            part = parts.get(author.application)
+            if part is None:
+                continue
+            writes, lock = part.writes, part.lock
+            values = self._read(author, writes) if writes else ()
+            if values is None or not author.may_want(lock):
+                return None
+            acted = acted or part.acted
+            found.append(Contribution(author.number, author.pid, lock, part.acted, part.stopped, values))
+        return found if len(found) == len(parts) and acted == entry.acted else None
+
+    def _read(self, author: Author, writes: Sequence[Write]) -> Sequence[tuple[int, Any]] | None:
+        """Return the values of an instance's writes; None if the instance cannot have written them."""
         values: list[tuple[int, Any]] = []
-        before, decoders = -1, self._decoders
+        before, decoders, allowed = -1, self._decoders, author.allowed
         for write in writes:
             index = write.index
-            if not before < index < len(decoders):
+            if not before < index < len(decoders) or (allowed is not None and index not in allowed):
                 return None
             if write.patch:
                 values.append((index, Unpatched(bytes(write.value))))
@@ -198,6 +303,26 @@ class Layout:
         if known is None or known[0] is not value:
             known = self._encoded[index] = value, encoder.encode(value)
         return known[1]
+
+
+def _authors(access: Sequence[StoreAccess], robots: int, variables: int) -> tuple[Sequence[Sequence[Author]], int]:
+    """Return the instances of each robot by their numbers, and the number of all instances."""
+    found: list[list[Author]] = [[] for _ in range(robots)]
+    number = 0
+    for application, these in enumerate(access):
+        for pid, robot in enumerate(these.members):
+            found[robot].append(Author(number, application, pid, these, variables))
+            number += 1
+    return found, number
+
+
+def _array(length: int) -> int:
+    """Return the most bytes of the head of an encoded array."""
+    return 1 if length < 16 else 3
+
+
+def _first(pair: tuple[int, Any]) -> int:
+    return pair[0]
 
 
 def _fits(variable: Variable) -> Callable[[Any], bool]:

@@ -150,15 +150,16 @@ class Metrics:
         self._peers[pid].repeats += 1
 
     def round(self, number: int, late: float, event: str | None, skipped: str | None, current: bool) -> None:
-        """Count round `number`.
+        """Count the event of an application in round `number`. With several, a round is counted with its first record.
 
         late: seconds from the round's tick until the robot decided which event to run.
         skipped: reason why no event could run, or None.
         """
-        self._round = number
-        self._late.add(late)
-        self._rounds += 1
-        self._current += current
+        if number > self._round:
+            self._round = number
+            self._late.add(late)
+            self._rounds += 1
+            self._current += current
         self._events += event is not None
         if skipped is not None and (skipped in self._skipped or len(self._skipped) < 32):
             self._skipped[skipped] = self._skipped.get(skipped, 0) + 1

@@ -5,7 +5,8 @@ and ranges; `link` and the package `replication` check the meaning."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import msgspec
 
@@ -15,6 +16,8 @@ WIRE_FORMAT = 4  # raised whenever the meaning of a datagram changes; part of ev
 LIMIT = 1200  # largest size of a sealed datagram in bytes, so that no network splits it into IP fragments
 MOST_PAYLOAD = LIMIT - MAC_SIZE
 MAX_ROBOTS = 128
+MAX_INSTANCES = 1024  # largest number of instances (an application on a robot) in a fleet
+MOST_WRITES = 256  # largest number of shared variables, and therefore of writes in an entry
 MAX_ECHOES = 8
 RELEASE_SIZE = 16  # bytes of the digest that names a release
 MOST_FRAGMENTS = 256  # largest number of fragments of one entry or snapshot
@@ -31,6 +34,8 @@ Short = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]  # a round number: enough f
 MaybePerRobot = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 PerRobot = Annotated[tuple[Short, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
 Incarnations = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(min_length=1, max_length=MAX_ROBOTS)]
+Stops = Annotated[tuple[MaybeNatural, ...], msgspec.Meta(max_length=MAX_INSTANCES)]
+LastEvents = Annotated[tuple[Short, ...], msgspec.Meta(max_length=MAX_INSTANCES)]
 # Bit i % 8 of byte i // 8 is 1 if fragment i was received.
 Mask = Annotated[bytes, msgspec.Meta(max_length=MOST_FRAGMENTS // 8)]
 Data = Annotated[bytes, msgspec.Meta(max_length=LIMIT)]
@@ -92,6 +97,28 @@ class Write(Wired, frozen=True):
     patch: bool = False
 
 
+Writes = Annotated[tuple[Write, ...], msgspec.Meta(max_length=MOST_WRITES)]
+ApplicationNumber = Annotated[int, msgspec.Meta(ge=0, lt=MAX_INSTANCES)]
+Lock = Annotated[int, msgspec.Meta(ge=-1, lt=65536)]
+
+
+class EntryPart(Wired, frozen=True):
+    """Part of an entry: the event of one instance, of a robot that runs several applications.
+
+    stopped: the instance has stopped in this round.
+    acted: an event of the instance ended in the round.
+    lock: lock of a transaction, of which one counts in each round; -1 without a transaction.
+    """
+
+    stopped: bool
+    acted: bool
+    lock: Lock
+    writes: Writes
+
+
+Parts = Annotated[dict[ApplicationNumber, EntryPart], msgspec.Meta(min_length=1, max_length=MAX_INSTANCES)]
+
+
 class Entry(Wired, frozen=True):
     """Log entry: `author` has ended the rounds `first` to `round`.
 
@@ -99,10 +126,12 @@ class Entry(Wired, frozen=True):
     outage is one entry. The entry of round 0 contains the result of `init`.
 
     incarnation: incarnation of the author when it wrote the entry (see View).
-    stopped: the author had stopped in all of these rounds.
+    stopped: the author had stopped in all of these rounds, with all its instances.
     acted: an event of the author ended in the round.
     awaits_commit: the author waits for reports that the round was applied.
-    lock: lock of a transaction, of which one counts in each round; -1 without a transaction.
+    lock: lock of a transaction, of which one counts in each round; -1 without a transaction, or with parts.
+    writes: writes of the author's only instance. An author with several instances has here a part for each instance
+        that had an event, by the number of its application.
     """
 
     author: Pid
@@ -112,8 +141,25 @@ class Entry(Wired, frozen=True):
     stopped: bool = False
     acted: bool = False
     awaits_commit: bool = False
-    lock: Annotated[int, msgspec.Meta(ge=-1, lt=65536)] = -1
-    writes: Annotated[tuple[Write, ...], msgspec.Meta(max_length=256)] = ()
+    lock: Lock = -1
+    writes: Writes | Parts = ()
+
+
+class Contribution(msgspec.Struct, frozen=True, gc=False):
+    """Event of one instance in a round, decoded from an entry. It is not sent.
+
+    instance: number of the instance.
+    slot: the instance's slot in the allread variables of its application.
+    acted, stopped, lock: see EntryPart. If the author has only this instance, the entry says whether it has stopped.
+    values: the event's writes, as pairs (index of the variable, value); a patch is a layout.Unpatched.
+    """
+
+    instance: int
+    slot: int
+    lock: int
+    acted: bool
+    stopped: bool
+    values: Sequence[tuple[int, Any]]
 
 
 class View(Wired, frozen=True):
@@ -295,15 +341,15 @@ class Snapshot(Wired, frozen=True):
     """Shared store after round `applied`, for a robot that rejoins.
 
     values: `values[i]` is the encoded value of variable i; for an allread variable, the array of its slots.
-    stopped: `stopped[p]` is the round in which robot p stopped, or -1.
-    acted: `acted[p]` is the last round in which an event of robot p counted.
+    stopped: `stopped[i]` is the round in which instance i stopped, or -1.
+    acted: `acted[i]` is the last round in which an event of instance i counted.
     """
 
     view: View
     applied: Natural
     values: tuple[msgspec.Raw, ...]
-    stopped: Incarnations
-    acted: PerRobot
+    stopped: Stops
+    acted: LastEvents
 
 
 Ballots = Prepare | Promise | Accept | Accepted | Decided

@@ -18,8 +18,9 @@ from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.host import Clocks, disk, host
-from koordgen.runtime.ops.set_up import open_key, open_settings, open_transport
+from koordgen.runtime.ops.set_up import fleet_program, open_key, open_settings, open_transport, programs_of
 from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.trace.parts import MEGABYTE, size_of
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
@@ -32,8 +33,9 @@ PlatformType = Callable[[Settings, bytes | None], Platform]
 
 
 def examine(
-    program: Program, root: Path, overrides: Path | None, pid: int | None, platform_type: PlatformType, drivers: Drivers
-) -> Generator[Finding, None, None]:
+    program: Program | FleetProgram, root: Path, overrides: Path | None, pid: int | None,
+    platform_type: PlatformType, drivers: Drivers,
+) -> Generator[Finding, None, None]:  # fmt: skip
     """Run all checks of a robot, and yield each result immediately.
 
     Checks that depend on a failed check are left out. Close the generator to end the checks early and to free the
@@ -42,6 +44,7 @@ def examine(
     yield from host(root)
     try:
         settings = open_settings(root, overrides, pid)
+        fleet = fleet_program(program, settings)
     except BadSettings as error:
         yield Finding("settings", "fail", str(error))
         return
@@ -50,7 +53,7 @@ def examine(
         "ok",
         f"robot {settings.robot}, pid {settings.pid} of {len(settings.peers)}, delta {settings.delta} s",
     )
-    yield _program(program, settings)
+    yield _program(fleet, settings)
     yield _compiled()
     yield _protocol(settings, root)
     if settings.state is not None:
@@ -60,7 +63,7 @@ def examine(
     key, found = _key(settings)
     yield found
     yield from _network(settings, key)
-    yield from _body(settings, key, program, platform_type, drivers)
+    yield from _body(settings, key, fleet.of(settings.pid), platform_type, drivers)
     yield clocks.finding()
 
 
@@ -80,11 +83,12 @@ def _trace(path: Path, limit: float | None) -> Finding:
     return Finding("trace", "ok", detail)
 
 
-def _program(program: Program, settings: Settings) -> Finding:
+def _program(program: FleetProgram, settings: Settings) -> Finding:
     try:
-        Layout(program.shared, len(settings.peers))
-        if program.library is not None:
-            program.library.load()
+        Layout.of(program)
+        for own in programs_of(program, settings.pid):
+            if own.library is not None:
+                own.library.load()
     except (TooLarge, BadExtern) as error:
         return Finding("program", "fail", str(error))
     release = f", release {settings.release}" if settings.release else ""

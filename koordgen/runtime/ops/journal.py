@@ -57,7 +57,7 @@ class Journal:
         self._monitors = list(monitors)
         self._changes: dict[str, tuple[float, int]] = {}  # property -> start of the interval, changes in it
         self._counted: Mapping[str, int] = {}
-        self._faulty = ""
+        self._faulty: dict[str, str] = {}  # application -> fault of its last event; "": none
         self._phase = ""
         self._last_progress = ""
         self._last = ""  # last log line
@@ -94,24 +94,26 @@ class Journal:
         self._trace.stall(self._clock.now(), state, why, lasted)
         self.warn(f"{_STALLED[state].format(lasted)}: {why}")
 
-    def monitor(self, change: Change) -> None:
+    def monitor(self, change: Change, application: str = "") -> None:
         """Record a change of a property's verdict in the trace, and log it.
 
+        application: application of the property; "" if the fleet has only one.
         A first verdict is logged only if it is a violation. If a property changes often, only the first changes in each
         interval are logged, and every violation that ends the robot's mission."""
-        self._trace.monitor(change)
-        since, count = self._changes.get(change.word, (-math.inf, 0))
+        self._trace.monitor(change, application)
+        word = _named(application, change.word)
+        since, count = self._changes.get(word, (-math.inf, 0))
         if change.time - since > OFTEN:
             since, count = change.time, 0
-        self._changes[change.word] = since, count + 1
+        self._changes[word] = since, count + 1
         ends = change.outcome == "violated" and change.action in FOR_GOOD
         if count >= MOST_CHANGES and not ends:
             return
         if change.outcome == "violated":
-            text = f"{change.word} is violated: {change.why}{_ACTING[change.action]}"
+            text = f"{word} is violated: {change.why}{_ACTING[change.action]}"
             self._line("error" if ends else "warning", text)
         elif change.before is not None:
-            self._line("info", f"{change.word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
+            self._line("info", f"{word}: {change.outcome}" + (f": {change.why}" if change.why else ""))
 
     def judged(self, violated: bool, summary: str) -> None:
         """Log a summary of the final verdicts of the robot's monitors. `violated`: a property was violated."""
@@ -122,17 +124,20 @@ class Journal:
         """Add a monitor: a function that is called with the record of each committed round."""
         self._monitors.append(monitor)
 
-    def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float) -> None:
-        """Record the lines that the program wrote to its streams in a round; round 0 is `init`."""
+    def streams(self, lines: Sequence[tuple[str, str]], round_: int, time: float, application: str = "") -> None:
+        """Record the lines that an application wrote to its streams in a round; round 0 is `init`."""
         for port, text in lines:
-            self._trace.stream(time, round_, port, text)
-            self._line("info", f"{port}: {text}")
+            self._trace.stream(time, round_, port, text, application)
+            self._line("info", _named(application, f"{port}: {text}"))
 
-    def init(self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float) -> None:
-        """Record the run of `init`: its sensor values and writes, and the robot's own variables `after` it."""
-        self._trace.init(time, sensors, effects, after, calls)
-        self.recent.wrote(0, effects.shared)
-        self.streams(effects.streams, 0, time)
+    def init(
+        self, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls, time: float,
+        application: str = "",
+    ) -> None:  # fmt: skip
+        """Record the run of an application's `init`: its sensor values and writes, and its variables `after` it."""
+        self._trace.init(time, sensors, effects, after, calls, application)
+        self.recent.wrote(0, effects.shared, application)
+        self.streams(effects.streams, 0, time, application)
 
     def view(self, view: View, names: Sequence[str], over: bool) -> None:
         """Record a new view. In view 0 all robots are members.
@@ -167,12 +172,14 @@ class Journal:
             self._counted = counters
             self._trace.round(record, self._fleet_clock.bound(record.time), changed)
         if record.effects is not None:
-            self.streams(record.effects.streams, record.round, record.time)
+            self.streams(record.effects.streams, record.round, record.time, record.application)
         fault = str(record.fault) if record.fault is not None else ""
-        if fault and fault != self._faulty:
-            self.error(f"{fault}; the event is discarded, the robot holds")
-        self._faulty = fault
-        self._metrics.round(record.round, record.late, record.event, record.skipped, record.frame is not None)
+        if fault and fault != self._faulty.get(record.application):
+            holder = f"application {record.application}" if record.application else "the robot"
+            self.error(f"{fault}; the event is discarded, {holder} holds")
+        self._faulty[record.application] = fault
+        skipped = f"{record.skipped}: {record.application}" if record.skipped and record.application else record.skipped
+        self._metrics.round(record.round, record.late, record.event, skipped, record.frame is not None)
         self.recent.round(record)
         for monitor in tuple(self._monitors):
             if not self.attempt(monitor, record):
@@ -199,3 +206,8 @@ class Journal:
         self.recent.line(now, self.round, level, text)
         time = f"{self._fleet_clock.read(now):.3f}" if self._fleet_clock.known else "?"
         self._emit(level, f"{time} round {self.round} {self._robot}: {level}: {text}")
+
+
+def _named(application: str, text: str) -> str:
+    """Return a text about an application, with its name if the fleet has several."""
+    return f"{application}: {text}" if application else text

@@ -25,9 +25,13 @@ RoundResult = tuple[int, str, str, float]  # round, outcome, detail, seconds aft
 
 
 class Recent:
-    """Last log lines and rounds of a robot, and the last value that the robot wrote into each shared variable."""
+    """Last log lines and rounds of a robot, and the last value that the robot wrote into each shared variable.
+
+    stored: (application, name in its program) -> name in the store of a shared variable; see FleetProgram.names.
+    """
 
     def __init__(self) -> None:
+        self.stored: Mapping[tuple[str, str], str] = {}
         self._lines: deque[Line] = deque(maxlen=MOST_LINES)
         self._rounds: deque[RoundResult] = deque(maxlen=MOST_ROUNDS)
         self._written: dict[str, tuple[int, Any]] = {}
@@ -47,15 +51,17 @@ class Recent:
             outcome, detail = "skipped", record.skipped
         else:
             outcome, detail = "event", record.event or ""
+        if record.application:
+            detail = f"{record.application}: {detail}"
         self._rounds.append((record.round, outcome, detail[:LONGEST_OUTCOME], record.late))
         self._decided = record.time
         if record.effects is not None:
-            self.wrote(record.round, record.effects.shared)
+            self.wrote(record.round, record.effects.shared, record.application)
 
-    def wrote(self, round_: int, values: Mapping[str, Any]) -> None:
+    def wrote(self, round_: int, values: Mapping[str, Any], application: str = "") -> None:
         """Add the shared variables that the event of a round wrote; round 0 is `init`."""
         for name, value in values.items():
-            self._written[name] = round_, value
+            self._written[self.stored.get((application, name), name)] = round_, value
 
     def report(self, now: float, kinds: Mapping[str, str]) -> dict[str, Any]:
         """Return the history as values that JSON can encode. Ages are in seconds at local time `now`.

@@ -1,4 +1,4 @@
-"""Set-up of an agent from its bundle: settings, key, transport."""
+"""Set-up of an agent from its bundle: settings, key, transport, programs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.net.seal import load_key
 from koordgen.runtime.net.transport import CannotOpen, Transport
 from koordgen.runtime.net.udp import GroupTransport, UnicastTransport
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.program import Program
 
 
 def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
@@ -36,6 +38,21 @@ def open_key(settings: Settings) -> bytes | None:
     if not settings.insecure:
         raise BadSettings("no key_file; a fleet without a key must declare `insecure: true`")
     return None
+
+
+def fleet_program(program: Program | FleetProgram, settings: Settings) -> FleetProgram:
+    """Return the applications of a bundle's fleet. Raises BadSettings if the settings are of another fleet."""
+    robots = len(settings.peers)
+    if isinstance(program, Program):
+        return FleetProgram.alone(program, robots)
+    if program.robots != robots:
+        raise BadSettings(f"the settings have {robots} robots, but the bundle was built for {program.robots}")
+    return program
+
+
+def programs_of(fleet: FleetProgram, robot: int) -> tuple[Program, ...]:
+    """Return the program of each instance of a robot."""
+    return tuple([fleet.applications[instance.application].program for instance in fleet.of_robot(robot)])
 
 
 def open_transport(settings: Settings) -> Transport:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Any
 
 import msgspec
@@ -58,6 +58,7 @@ class EndedAtOnce(BaseException):
     KeyboardInterrupt is not used, because user code may raise it."""
 
 
+NO_VALUES: Mapping[str, Any] = MappingProxyType({})
 _UNLIMITED = nullcontext()
 
 
@@ -104,8 +105,8 @@ class Interrupting:
 class EventResult(msgspec.Struct, frozen=True):
     """Result of a round: the effects of an event, or a fault without effects, or no event (all fields None).
 
-    `lock`: index of the lock of an atomic event, whose effects count as soon as its transaction has won the lock; -1
-    for an event that is not atomic."""
+    `lock`: lock of the fleet that an atomic event needs; its effects count as soon as its transaction has won the lock.
+    It is -1 for an event that is not atomic."""
 
     event: str | None = None
     effects: Effects | None = None
@@ -114,13 +115,27 @@ class EventResult(msgspec.Struct, frozen=True):
 
 
 class Runner:
-    """Runner of one program on one robot. The caller updates `locals` when the effects of an event count."""
+    """Runner of one program on one robot. The caller updates `locals` when the effects of an event count.
 
-    def __init__(self, program: Program, pid: int, n_sys: int, clock: Clock, limit: Limit) -> None:
+    given: values of local variables that replace their initial values.
+    locks: for each lock of the program, the lock of the fleet that protects the same variables; empty: the same lock.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        pid: int,
+        n_sys: int,
+        clock: Clock,
+        limit: Limit,
+        given: Mapping[str, Any] = NO_VALUES,
+        locks: Sequence[int] = (),
+    ) -> None:
         self.program = program
-        self.locals: Mapping[str, Any] = {v.name: v.initial() for v in program.locals}
+        self.locals: Mapping[str, Any] = {v.name: v.initial() for v in program.locals} | dict(given)
         self._pid = pid
         self._n_sys = n_sys
+        self._locks = locks or range(len(program.locks))
         self._clock = clock
         self._limit = limit
 
@@ -165,4 +180,4 @@ class Runner:
             return EventResult(name, fault=done)
         if self._clock.now() > deadline:
             return EventResult(name, fault=Fault(self.program.source, event.line if event else 0, LATE))
-        return EventResult(name, done, lock=-1 if event is None or event.lock is None else event.lock)
+        return EventResult(name, done, lock=-1 if event is None or event.lock is None else self._locks[event.lock])

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
-from typing import Any
 
 import msgspec
 
-from koordgen.runtime.net.wire import Entry, Write
+from koordgen.runtime.net.wire import Contribution, Entry, Write
 
 MOST_BEHIND_GAP = 64  # largest number of one author's entries kept while an earlier entry is missing
 
@@ -20,17 +19,15 @@ MOST_BEHIND_GAP = 64  # largest number of one author's entries kept while an ear
 # most entries are dropped soon. Further entries are copied, so that they do not keep their datagrams in memory.
 MOST_SHARING = 8
 
-Values = Sequence[tuple[int, Any]]
-
 
 class Logged:
-    """An entry with its decoded values, as pairs (index of the variable, value)."""
+    """An entry with its decoded events, by instance."""
 
-    __slots__ = ("entry", "values")
+    __slots__ = ("entry", "events")
 
-    def __init__(self, entry: Entry, values: Values) -> None:
+    def __init__(self, entry: Entry, events: Sequence[Contribution]) -> None:
         self.entry = entry
-        self.values = values
+        self.events = events
 
     @property
     def is_single(self) -> bool:
@@ -55,10 +52,17 @@ def _from(entry: Entry, first: int) -> Entry:
 
 def _detached(entry: Entry) -> Entry:
     """Return the entry with a copy of its writes, so that the entry does not keep its datagram in memory."""
-    if not entry.writes:
+    writes = entry.writes
+    if not writes:
         return entry
-    writes = tuple([Write(w.index, msgspec.Raw(bytes(w.value)), w.patch) for w in entry.writes])
-    return msgspec.structs.replace(entry, writes=writes)
+    if not isinstance(writes, dict):
+        return msgspec.structs.replace(entry, writes=_copied(writes))
+    parts = {key: msgspec.structs.replace(part, writes=_copied(part.writes)) for key, part in writes.items()}
+    return msgspec.structs.replace(entry, writes=parts)
+
+
+def _copied(writes: Sequence[Write]) -> tuple[Write, ...]:
+    return tuple([Write(w.index, msgspec.Raw(bytes(w.value)), w.patch) for w in writes])
 
 
 def _merged(before: Entry, entry: Entry) -> Entry | None:
@@ -89,22 +93,22 @@ class EntryLog:
         """Return whether the log has room for an entry that begins at round `first`."""
         return first <= self.held + 1 or len(self.later) < MOST_BEHIND_GAP
 
-    def append(self, entry: Entry, values: Values) -> None:
+    def append(self, entry: Entry, events: Sequence[Contribution]) -> None:
         """Add an entry to the log. Precondition: the entry ends after round `held`."""
         if entry.first == self.held + 1 and entry.acted and not self.later and len(self.kept) < MOST_SHARING:
-            self.kept.append(Logged(entry, values))  # most entries arrive in order: this case is tested first
+            self.kept.append(Logged(entry, events))  # most entries arrive in order: this case is tested first
             self.held = entry.round
             return
         if len(self.kept) >= MOST_SHARING or entry.first > self.held + 1:
             entry = _detached(entry)
         if entry.first <= self.held + 1:
-            self._extend(Logged(entry, values))
+            self._extend(Logged(entry, events))
             if self.later:
                 self._close_gap()
             return
         known = self.later.get(entry.first)
         if known is None or known.entry.round < entry.round:
-            self.later[entry.first] = Logged(entry, values)
+            self.later[entry.first] = Logged(entry, events)
 
     def _extend(self, logged: Logged) -> None:
         """Add an entry to `kept`. Precondition: the entry begins at or before round held + 1."""
@@ -113,7 +117,7 @@ class EntryLog:
         if merged is not None:
             self.kept[-1] = Logged(merged, ())
         else:
-            self.kept.append(logged if entry is logged.entry else Logged(entry, logged.values))
+            self.kept.append(logged if entry is logged.entry else Logged(entry, logged.events))
         self.held = entry.round
 
     def _close_gap(self) -> None:
@@ -153,7 +157,7 @@ class EntryLog:
             kept.pop()
         if kept and kept[-1].entry.round > last:
             final = kept.pop()
-            kept.append(Logged(shortened(final.entry, last), final.values))
+            kept.append(Logged(shortened(final.entry, last), final.events))
         self.held = min(self.held, last)
 
     def skip(self, last: int) -> None:

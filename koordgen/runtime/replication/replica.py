@@ -37,7 +37,7 @@ from koordgen.runtime.replication.retransmission import (
     recipients,
     some,
 )
-from koordgen.runtime.replication.state_machine import AHEAD, StateMachine
+from koordgen.runtime.replication.state_machine import AHEAD, InstanceEvent, StateMachine
 from koordgen.runtime.replication.views import Report, Views, is_possible
 
 TICKS = 5  # number of ticks in a round
@@ -200,7 +200,8 @@ class Replica:
             state.close(through, {}, stopped=stopped)
 
     def propose(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
-                awaits_commit: bool = False, lock: int = -1, private: object = None) -> None:  # fmt: skip
+                awaits_commit: bool = False, lock: int = -1, private: object = None,
+                parts: Sequence[InstanceEvent] = ()) -> None:  # fmt: skip
         """Close round `round_` and send this robot's entry of the round. Parameters: see StateMachine.close.
 
         `private` is persisted before the entry is sent. Peers that lack older entries also get these older entries,
@@ -213,7 +214,9 @@ class Replica:
             silent = None if self.rejoin is None else self.rejoin.silence(round_, self.views.view)
             self._send_round(self._others, round_, () if silent is None else (silent,))
             return
-        entry = state.close(round_, shared, stopped=stopped, acted=acted, awaits_commit=awaits_commit, lock=lock)
+        entry = state.close(
+            round_, shared, stopped=stopped, acted=acted, awaits_commit=awaits_commit, lock=lock, parts=parts
+        )
         own: Sequence[Entry] = (entry,) if entry.first <= first else state.own(first)
         served: list[int] = []
         lacking = [] if self.policy.is_strained(round_) else [p for p, peer in self.peers.items() if peer.lacks]

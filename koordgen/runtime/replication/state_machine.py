@@ -2,7 +2,8 @@
 
 S_r is the store at the beginning of round r. S_1 consists of the initial values and the results of all robots' `init`.
 S_{r+1} is S_r after the entries of round r of all members are applied: first one transaction for each lock, then the
-plain writes by ascending pid. So two robots that have applied the same rounds have equal stores."""
+plain writes by instance (with one application: by ascending pid). So two robots that have applied the same rounds have
+equal stores."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.net.layout import Layout
-from koordgen.runtime.net.wire import Entry, Snapshot, View
+from koordgen.runtime.net.wire import Contribution, Entry, EntryPart, Snapshot, View
 from koordgen.runtime.replication.apply import Store, arbitrate, merge
 from koordgen.runtime.replication.log import EntryLog, Logged
 from koordgen.runtime.replication.schedule import Schedule
@@ -20,6 +21,18 @@ DROP_EVERY = 4  # rounds between two drops of settled entries, because each drop
 WINDOW = 256  # number of unsettled entries of one author at which the author runs no more events
 NO_INCARNATION = -2  # a number that is never an incarnation
 MOST_PAST = 16  # past stores that are no longer needed are dropped once so many are kept
+
+
+class InstanceEvent:
+    """Event of one of this robot's instances in a round: number `place` of those of the robot.
+
+    shared: name in the program -> value that the event wrote. Other fields: see EntryPart.
+    """
+
+    __slots__ = ("lock", "place", "shared", "stopped")
+
+    def __init__(self, place: int, shared: Mapping[str, Any], stopped: bool, lock: int) -> None:
+        self.place, self.shared, self.stopped, self.lock = place, shared, stopped, lock
 
 
 class StateMachine:
@@ -40,6 +53,7 @@ class StateMachine:
         self._layout = layout
         self._pid = pid
         self._n = layout.n_sys
+        self._own = frozenset([author.number for author in layout.authors[pid]])
         self._schedule = Schedule(view)
         self.view = view  # latest view that this robot has adopted
         self.logs = [EntryLog(applied) for _ in range(self._n)]
@@ -51,9 +65,9 @@ class StateMachine:
         self._incarnations: Sequence[int] = ()  # for each robot, the incarnation that its entries must have
         self.is_frozen = False  # True: rounds of the next view must not be applied until that view is decided
         self.shared = shared
-        self.stopped = dict(stopped or {})  # pid -> the round in which the robot stopped
-        self.acted = list(acted) or [0] * self._n  # for each robot, the last round in which its event counted
-        self.won = 0  # last round in which a transaction of this robot won its lock
+        self.stopped = dict(stopped or {})  # instance -> the round in which it stopped
+        self.acted = list(acted) or [0] * layout.instances  # for each instance, the last round with a counted event
+        self.won: dict[int, int] = {}  # instance of this robot -> last round in which its transaction won its lock
         self.awaiting: tuple[int, ...] = ()  # robots whose outputs wait for the commit of the last applied round
         self.unfit = 0  # number of patches that did not fit their value; all robots ignore the same patches
         self._past = [(applied, shared, self.acted)]  # stores to which a view change may rewind
@@ -73,14 +87,16 @@ class StateMachine:
         """Return the state machine of a snapshot; None if the snapshot does not fit the program."""
         n = layout.n_sys
         shared = layout.unpack(snapshot.values)
-        if shared is None or not len(snapshot.stopped) == len(snapshot.acted) == len(snapshot.view.members) == n:
+        if shared is None or len(snapshot.view.members) != n:
+            return None
+        if not len(snapshot.stopped) == len(snapshot.acted) == layout.instances:
             return None
         stopped = {p: r for p, r in enumerate(snapshot.stopped) if r >= 0}
         return cls(layout, pid, snapshot.view, shared, snapshot.applied, stopped, snapshot.acted)
 
     def snapshot(self) -> Snapshot:
         """Return a snapshot of the store, for a robot that rejoins."""
-        stopped = tuple([self.stopped.get(p, -1) for p in range(self._n)])
+        stopped = tuple([self.stopped.get(i, -1) for i in range(self._layout.instances)])
         return Snapshot(self._schedule.first, self.applied, self._layout.pack(self.shared), stopped, tuple(self.acted))
 
     # Methods that query the state.
@@ -98,9 +114,10 @@ class StateMachine:
 
     @property
     def all_stopped(self) -> int | None:
-        """First applied round by which all members have stopped; None if a member has not stopped."""
-        rounds = [self.stopped.get(p) for p, m in enumerate(self.view.members) if m >= 0]
-        return None if None in rounds else max(r for r in rounds if r is not None)
+        """First applied round by which all instances of members have stopped; None if one has not stopped."""
+        authors, stopped = self._layout.authors, self.stopped
+        rounds = [stopped.get(a.number) for p, m in enumerate(self.view.members) if m >= 0 for a in authors[p]]
+        return None if None in rounds else max([r for r in rounds if r is not None], default=0)
 
     def missing(self, through: int) -> list[int]:
         """Return the members of which this robot lacks an entry up to round `through`."""
@@ -117,23 +134,46 @@ class StateMachine:
     # Methods that add entries to the logs.
 
     def close(self, round_: int, shared: Mapping[str, Any], *, stopped: bool, acted: bool = False,
-              awaits_commit: bool = False, lock: int = -1) -> Entry:  # fmt: skip
+              awaits_commit: bool = False, lock: int = -1, parts: Sequence[InstanceEvent] = ()) -> Entry:  # fmt: skip
         """Append this robot's own entry of round `round_`, and return the entry.
 
+        stopped: all instances of this robot have stopped.
         shared: name -> value that the round's event wrote.
+        acted: an event ended in the round.
         lock: lock of a transaction; -1 for a plain event.
+        parts: the round's events, for a robot with several instances, which passes no `shared`, `acted` and `lock`.
         Earlier rounds without an entry get a silent entry.
         """
         pid = self._pid
         log, first = self.logs[pid], self.logs[pid].held + 1
-        if (shared or acted or lock >= 0) and first < round_:
+        if (shared or acted or lock >= 0 or parts) and first < round_:
             self.close(round_ - 1, {}, stopped=stopped)
             first = round_
-        writes, values = self._layout.written(shared, self.shared, pid) if shared else ((), ())
-        entry = Entry(pid, self.view.members[pid], first, round_, stopped, acted, awaits_commit, lock, writes)
-        log.append(entry, values or ())
+        incarnation = self.view.members[pid]
+        if parts:
+            encoded, events = self._encoded(parts)
+            entry = Entry(pid, incarnation, first, round_, stopped, True, awaits_commit, -1, encoded)
+        else:
+            writes, values = self._layout.written(shared, self.shared, pid) if shared else ((), ())
+            entry = Entry(pid, incarnation, first, round_, stopped, acted, awaits_commit, lock, writes)
+            events = []
+            if writes or acted or lock >= 0:
+                author = self._layout.authors[pid][0]
+                events = [Contribution(author.number, author.pid, lock, acted, False, values or ())]
+        log.append(entry, events)
         self._note_held(pid, first - 1)
         return entry
+
+    def _encoded(self, parts: Sequence[InstanceEvent]) -> tuple[dict[int, EntryPart], list[Contribution]]:
+        """Return the events of several own instances as parts of an entry, and as other robots decode them."""
+        encoded: dict[int, EntryPart] = {}
+        events: list[Contribution] = []
+        for part in parts:
+            author = self._layout.authors[self._pid][part.place]
+            writes, values = self._layout.written(part.shared, self.shared, self._pid, part.place)
+            encoded[author.application] = EntryPart(part.stopped, True, part.lock, writes)
+            events.append(Contribution(author.number, author.pid, part.lock, True, part.stopped, values or ()))
+        return encoded, events
 
     def append(self, entry: Entry, round_: int) -> str | None:
         """Append another robot's entry, which arrived in round `round_`. Return why it is refused, or None.
@@ -160,12 +200,12 @@ class StateMachine:
             entry = part
         if author == self._pid:
             return "entry of this robot from another robot"
-        values = self._layout.read(entry)
-        if values is None:
+        events = self._layout.read(entry)
+        if events is None:
             return "entry does not fit"
         if len(log.kept) >= 2 * WINDOW or not log.has_room(entry.first):
             return "no room for an entry"
-        log.append(entry, values)
+        log.append(entry, events)
         if log.held > held:
             self.arrived[author] = round_
             self._note_held(author, held)
@@ -203,29 +243,35 @@ class StateMachine:
         """Apply one entry of each member, by ascending pid, up to round `through`.
 
         Winning transactions are applied before plain writes. So a plain write overrides a transaction, and the plain
-        write of the highest pid overrides other plain writes.
+        write of the highest instance overrides other plain writes.
         """
         awaiting: list[int] = []
-        stopping: list[Entry] = []
+        stopping: list[tuple[int, int]] = []  # instances that stop, and the round
         contended = False
+        events: list[Contribution] = []
         for logged in entries:
             entry = logged.entry
             if entry.awaits_commit and entry.round == through:
                 awaiting.append(entry.author)
-            if entry.lock >= 0:
-                contended = True
+            for event in logged.events:
+                events.append(event)
+                if event.lock >= 0:
+                    contended = True
             if entry.stopped:
-                stopping.append(entry)
+                since = max(entry.first, self.applied + 1) if through else 0
+                stopping += [(author.number, since) for author in self._layout.authors[entry.author]]
         self.awaiting = tuple(awaiting)
+        if self._layout.is_composed:
+            events.sort(key=_instance)
         if contended:
-            commits, plain = arbitrate(entries, through, self._n)
-            if any(e.entry.author == self._pid for e in commits):
-                self.won = through
-            entries = [*commits, *plain]
-        shared, acted, unfit = merge(self._layout, entries, self.shared, self.acted)
+            commits, plain = arbitrate(events, through, self._layout.instances)
+            self.won.update({e.instance: through for e in commits if e.instance in self._own})
+            events = [*commits, *plain]
+        stopping += [(event.instance, through) for event in events if event.stopped]
+        shared, acted, unfit = merge(self._layout, events, through, self.shared, self.acted)
         self.unfit += unfit
-        for entry in stopping:
-            self.stopped.setdefault(entry.author, max(entry.first, self.applied + 1) if through else 0)
+        for instance, since in stopping:
+            self.stopped.setdefault(instance, since)
         self.applied = through
         if shared is not self.shared or acted is not self.acted:
             self.shared, self.acted = shared, acted
@@ -285,8 +331,8 @@ class StateMachine:
         self.applied = last
         self.committed = min(self.committed, last)
         self.settled = min(self.settled, last)
-        self.stopped = {p: r for p, r in self.stopped.items() if r <= last}
-        self.won, self.awaiting = 0, ()
+        self.stopped = {instance: r for instance, r in self.stopped.items() if r <= last}
+        self.won, self.awaiting = {}, ()
         self._past = [(last, *found)]
         self._update()
         return True
@@ -295,3 +341,7 @@ class StateMachine:
         for log, old, new in zip(self.logs, self.view.members, view.members, strict=True):
             if old != new:
                 log.truncate(view.since - 1)
+
+
+def _instance(event: Contribution) -> int:
+    return event.instance

@@ -14,7 +14,8 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 import msgspec
 
-from koordgen.runtime.program.program import Calls, Effects, Fault, Frame, Life, Program
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.program import Calls, Effects, Fault, Frame, Life
 from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.parts import TraceFileParts
 from koordgen.runtime.trace.schema import FORMAT, LEFT_OUT
@@ -39,6 +40,7 @@ class RoundRecord(msgspec.Struct, frozen=True):
     fault: Fault | None = None
     calls: Calls = ()
     restored: Life | None = None  # state with which the robot continued, if it rejoined before this round
+    application: str = ""  # name of the application whose event it is; "" if the fleet has only one
 
 
 Observe = Callable[[RoundRecord], None]
@@ -53,31 +55,28 @@ class Trace:
         self._file = file
         self._warn = warn
         self._encoder = msgspec.json.Encoder(enc_hook=repr)
-        self._pid = -1
-        self._application = ""
-        self._slots: Collection[str] = ()
-        self._recorded: dict[str, Any] = {}  # shared variables as the records of this part give them
+        self._applications: dict[str, _Recorded] = {}  # by the name in records; "": the only application
         # The fields below are written at the beginning of the next part.
         self._header: schema.RobotHeader | None = None
         self._part = 0
         self._phase = ""
         self._phases: dict[str, schema.Phase] = {}  # first record of each phase except STARTING
         self._view: schema.ViewRecord | None = None
-        self._life: Life | None = None  # private variables after the last recorded round; None: unknown
-        self._last = -1  # number of the last recorded round; 0: `init`; -1: none
 
     @property
     def open(self) -> bool:
         """True until the trace is closed or ended by an error."""
         return self._file is not None
 
-    def header(self, program: Program, robot: str, pid: int, n_sys: int, delta: float) -> None:
+    def header(self, fleet: FleetProgram, robot: str, pid: int, n_sys: int, delta: float) -> None:
         """Write the header of the trace. Call this before all other methods that write records."""
-        self._slots = [v.name for v in program.shared if v.kind == "allread"]
-        self._pid, self._application = pid, program.name
-        self._header = schema.RobotHeader(
-            FORMAT, program.name, (program.name,), robot, pid, n_sys, delta, program.program_hash
-        )
+        for instance in fleet.of_robot(pid):
+            application = fleet.applications[instance.application]
+            slots = frozenset([v.name for v in application.own if v.kind == "allread"])
+            key = application.name if fleet.is_composed else ""
+            self._applications[key] = _Recorded(application.name, instance.pid, slots)
+        names = tuple([application.name for application in fleet.applications])
+        self._header = schema.RobotHeader(FORMAT, fleet.name, names, robot, pid, n_sys, delta, fleet.program_hash)
         self._write(self._header)
 
     def phase(self, time: float, phase: str, detail: str) -> None:
@@ -88,10 +87,16 @@ class Trace:
             if phase != STARTING:
                 self._phases[phase] = record
 
-    def init(self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls) -> None:
-        """Write a record of `init`: its sensor values, its writes, and all private variables `after` it."""
+    def init(
+        self, time: float, sensors: Mapping[str, Any], effects: Effects, after: Life, calls: Calls,
+        application: str = "",
+    ) -> None:  # fmt: skip
+        """Write a record of `init`: its sensor values, its writes, and all private variables `after` it.
+
+        application: the application whose `init` ran; "": the only one."""
         self._turn_if_full(time)
-        self._recorded, self._life, self._last = {}, after, 0
+        of = self._of(application)
+        of.shared, of.life, of.last = {}, after, 0
         self._write(
             schema.InitRecord(
                 sensors=sensors,
@@ -104,7 +109,7 @@ class Trace:
                 time=time,
                 t=LEFT_OUT,
                 pid=LEFT_OUT,
-                application=self._application,
+                application=of.name,
             )
         )
 
@@ -121,23 +126,29 @@ class Trace:
         """Write that a stall of the vehicle begins, goes on or ends. `lasted`: seconds since the stall began."""
         self._write_record(schema.Stall(state, why, round(lasted, 3), time, LEFT_OUT, LEFT_OUT), time)
 
-    def stream(self, time: float, round_: int, port: str, text: str) -> None:
-        """Write a line of the program's output in a round; round 0 is `init`.
+    def stream(self, time: float, round_: int, port: str, text: str, application: str = "") -> None:
+        """Write a line of an application's output in a round; round 0 is `init`.
 
         Line and round are in the same part of the trace."""
-        self._write(schema.StreamLine(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._application))
+        self._write(schema.StreamLine(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._of(application).name))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
         """Write a snapshot of the quality of the robot's links and rounds."""
         self._write_record(schema.MetricsRecord(**snapshot, time=time, t=LEFT_OUT, pid=LEFT_OUT), time)
 
-    def monitor(self, change: Change) -> None:
-        """Write a change of a monitored property's verdict."""
+    def monitor(self, change: Change, application: str = "") -> None:
+        """Write a change of the verdict of an application's property."""
         record = schema.Monitor(
             change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
-            change.time, LEFT_OUT, LEFT_OUT, self._application,
+            change.time, LEFT_OUT, LEFT_OUT, self._of(application).name,
         )  # fmt: skip
         self._write_record(record, change.time)
+
+    def _of(self, application: str) -> _Recorded:
+        """Return what was recorded of an application. An application without a header has no name in the records."""
+        if application not in self._applications:
+            self._applications[application] = _Recorded("", -1, ())
+        return self._applications[application]
 
     def round(self, record: RoundRecord, clock_bound: float, counters: Mapping[str, int]) -> None:
         """Write one round of the robot.
@@ -147,6 +158,7 @@ class Trace:
         changes of the robot's copy of the shared variables since the last record; for an allread variable pid -> value.
         """
         self._turn_if_full(record.time)
+        of = self._of(record.application)
         fault, effects, restored = record.fault, record.effects, record.restored
         shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
         violated, stopped = (effects.violated, effects.stopped) if effects else ((), False)
@@ -155,22 +167,14 @@ class Trace:
             record.round, record.event, record.skipped,
             schema.EventFault(fault.file, fault.line, fault.reason) if fault else None,
             round(record.late, 6), record.sensors,
-            _written(record) or LEFT_OUT, shared, actuators, self._changed(record) or LEFT_OUT,
+            _written(record) or LEFT_OUT, shared, actuators, of.changed(record) or LEFT_OUT,
             record.calls or LEFT_OUT, violated or LEFT_OUT, stopped or LEFT_OUT,
             _restored(restored) if restored else LEFT_OUT,
             round(clock_bound, 6), counters or LEFT_OUT,
-            record.time, LEFT_OUT, LEFT_OUT, self._application,
+            record.time, LEFT_OUT, LEFT_OUT, of.name,
         )  # fmt: skip
         self._write(line)
-        self._live(record)
-
-    def _live(self, record: RoundRecord) -> None:
-        """Update this robot's private variables with the effects of a recorded round."""
-        self._last, effects = record.round, record.effects
-        life = self._life = record.restored or self._life
-        if life is not None and effects is not None:
-            actuators, stopped = {**life.actuators, **effects.actuators}, life.stopped or effects.stopped
-            self._life = Life(record.round, effects.locals, actuators, stopped)
+        of.live(record)
 
     def _turn_if_full(self, time: float) -> None:
         """Begin a new part of the trace if the current part is full.
@@ -185,40 +189,17 @@ class Trace:
             self._end(error)
             return
         self._part += 1
-        self._recorded = {}
         if self._header is not None:
             self._write(msgspec.structs.replace(self._header, part=self._part))
         for record in self._phases.values():
             self._write(record)
         if self._view is not None:
             self._write(self._view)
-        own = _restored(self._life) if self._life is not None else LEFT_OUT
-        self._write(schema.Checkpoint(self._last, own, time, LEFT_OUT, LEFT_OUT, self._application))
+        for of in self._applications.values():
+            of.shared = {}
+            own = _restored(of.life) if of.life is not None else LEFT_OUT
+            self._write(schema.Checkpoint(of.last, own, time, LEFT_OUT, LEFT_OUT, of.name))
         parts.began()
-
-    def _changed(self, record: RoundRecord) -> dict[str, Any]:
-        """Return the shared variables that changed since the last record; a new object counts as a change.
-
-        The robot's own slots are left out, because they are recorded with its events. Allwrite variables are included,
-        because another robot may have written them."""
-        found: dict[str, Any] = {}
-        frame, told = record.frame, self._recorded
-        if frame is None:
-            return found
-        for name, value in frame.shared.items():
-            before = told.get(name)
-            if value is before:
-                continue
-            told[name] = value
-            if name not in self._slots:
-                found[name] = value
-            elif before is None:
-                found[name] = dict(enumerate(value))
-            else:
-                changed = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
-                if changed:
-                    found[name] = changed
-        return found
 
     def close(self) -> None:
         if self._file is not None:
@@ -255,3 +236,51 @@ def _written(record: RoundRecord) -> dict[str, Any]:
     if effects is None or frame is None:
         return {}
     return {name: value for name, value in effects.locals.items() if value is not frame.locals.get(name)}
+
+
+class _Recorded:
+    """Values of an application as the records of a trace give them.
+
+    name, pid, slots: the application's name, this robot's pid in it, and its allread variables.
+    shared: shared variables as the records of this part give them.
+    life: private variables after the last recorded round; None: unknown.
+    last: number of the last recorded round; 0: `init`; -1: none.
+    """
+
+    def __init__(self, name: str, pid: int, slots: Collection[str]) -> None:
+        self.name, self._pid, self._slots = name, pid, slots
+        self.shared: dict[str, Any] = {}
+        self.life: Life | None = None
+        self.last = -1
+
+    def live(self, record: RoundRecord) -> None:
+        """Update the private variables with the effects of a recorded round."""
+        self.last, effects = record.round, record.effects
+        life = self.life = record.restored or self.life
+        if life is not None and effects is not None:
+            actuators, stopped = {**life.actuators, **effects.actuators}, life.stopped or effects.stopped
+            self.life = Life(record.round, effects.locals, actuators, stopped)
+
+    def changed(self, record: RoundRecord) -> dict[str, Any]:
+        """Return the shared variables that changed since the last record; a new object counts as a change.
+
+        The robot's own slots are left out, because they are recorded with its events. Allwrite variables are included,
+        because another robot may have written them."""
+        found: dict[str, Any] = {}
+        frame, told = record.frame, self.shared
+        if frame is None:
+            return found
+        for name, value in frame.shared.items():
+            before = told.get(name)
+            if value is before:
+                continue
+            told[name] = value
+            if name not in self._slots:
+                found[name] = value
+            elif before is None:
+                found[name] = dict(enumerate(value))
+            else:
+                changed = {p: v for p, v in enumerate(value) if v is not before[p] and p != self._pid}
+                if changed:
+                    found[name] = changed
+        return found

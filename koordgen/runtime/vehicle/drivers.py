@@ -27,6 +27,11 @@ def with_drivers(platform: Platform, program: Program, drivers: Drivers) -> Plat
     return Driven(platform, program, drivers) if drivers else platform
 
 
+def modules_of_drivers(platform: Platform) -> frozenset[str]:
+    """Return the modules of the program that drivers serve."""
+    return frozenset(platform.modules) if isinstance(platform, Driven) else frozenset()
+
+
 class Driven:
     """Platform whose drivers serve some modules. Another platform serves all other modules."""
 
@@ -47,6 +52,11 @@ class Driven:
         }
         self._values: dict[str, Any] = dict.fromkeys(self._types)  # None: no value
         self._trouble = ""
+
+    @property
+    def modules(self) -> list[str]:
+        """Modules of the program that drivers serve."""
+        return list(self._drivers)
 
     def diagnose(self) -> list[Finding]:
         self._sample()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -24,6 +24,7 @@ class VehicleInterface:
     avoid: name of the allread variable in which robots publish their paths; "" if the program has no such variable.
     pid: pid of this robot.
     clock: clock in seconds that measures how long calls take.
+    members: robots that have the slots of `avoid`, in the order of the slots; empty: slot p belongs to robot p.
     """
 
     def __init__(
@@ -36,8 +37,10 @@ class VehicleInterface:
         avoid: str = "",
         pid: int = 0,
         clock: Callable[[], float] = time.perf_counter,
+        members: Sequence[int] = (),
     ) -> None:
         self._platform = platform
+        self._members = members
         self._avoid, self._pid, self._clock = avoid, pid, clock
         self._slots: tuple[Any, ...] = ()  # slots of `avoid` at the last call of `others`
         self._published: dict[int, tuple[Point, ...]] = {}  # pid -> path last passed to the platform
@@ -92,9 +95,8 @@ class VehicleInterface:
         if slots is self._slots:
             return
         self._slots = slots
-        paths = (
-            (pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in enumerate(slots) if pid != self._pid
-        )
+        owned = zip(self._members or range(len(slots)), slots, strict=False)
+        paths = ((pid, (slot,) if isinstance(slot, Point) else slot) for pid, slot in owned if pid != self._pid)
         published = {pid: path for pid, path in paths if path}
         if published != self._published:
             self._published = published

@@ -13,13 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent.checkpoint import CheckpointFile, LocalsCodec
 from koordgen.runtime.agent.records import KEPT, Acceptor, Loaded, Locals, Mission
 from koordgen.runtime.net.transport import CannotOpen
-from koordgen.runtime.program.program import Program, Variable
+from koordgen.runtime.program.program import Life, Program, Variable
 from koordgen.runtime.values.bounds import Blob, Fixed, Many, Text
 from koordgen.runtime.values.points import Opaque, Point
 from tests.disk import small_disk
@@ -342,17 +343,27 @@ VALUES = {"count": -3, "names": ("a", "ü"), "data": Opaque(b"\xc0")}
 
 
 def test_locals_and_actuators_come_back_typed() -> None:
-    codec = LocalsCodec(CODED)
+    codec = LocalsCodec([CODED])
     for actuators in ({"Motion.target": Point(1.0, 2.0, 3.0)}, {}):
-        assert codec.decode(*codec.encode(VALUES, actuators)) == (VALUES, actuators)
+        life = Life(4, VALUES, actuators, False)
+        assert codec.decode(codec.encode([life], 2)) == [life]
+
+
+def test_the_states_of_several_instances_come_back_each_with_its_round() -> None:
+    codec = LocalsCodec([CODED, CODED])
+    lives = [Life(4, VALUES, {"Motion.target": Point(1.0, 2.0, 3.0)}, True), Life(9, {**VALUES, "count": 7}, {}, False)]
+    record = codec.encode(lives, 2)
+    assert codec.decode(record) == lives and (record.round, record.stopped) == (9, False)
+    assert LocalsCodec([CODED]).decode(record) is None and LocalsCodec([CODED] * 3).decode(record) is None
+    assert codec.decode(msgspec.structs.replace(record, locals=record.locals[:-1])) is None
 
 
 def test_the_longest_values_have_room(kept: Kept) -> None:
     values = {"count": -(2**63), "names": ("ü" * 4,) * 3, "data": Opaque(bytes(30))}
     store = kept.open(CODED, n=128)
-    locals_, actuators = LocalsCodec(CODED).encode(values, {"Motion.target": Point(1e300, 2.5, -1e-300)})
     top = 2**53
-    assert store.write(Locals(top, top, locals_, actuators, True))
+    life = Life(top, values, {"Motion.target": Point(1e300, 2.5, -1e-300)}, True)
+    assert store.write(LocalsCodec([CODED]).encode([life], top))
     view = bytes(3 * 9 + 5 + 9 * 128)
     assert store.write(Acceptor(view, top, top, top, top, view))
 
@@ -368,19 +379,26 @@ def test_the_longest_values_have_room(kept: Kept) -> None:
     ],
 )
 def test_what_no_program_may_hold_is_refused(values: dict[str, Any]) -> None:
-    codec = LocalsCodec(CODED)
-    assert codec.decode(*codec.encode(values, {})) is None
+    codec = LocalsCodec([CODED])
+    assert codec.decode(codec.encode([Life(1, values, {}, False)], 0)) is None
 
 
 def test_the_codec_never_raises() -> None:
-    codec, rng = LocalsCodec(CODED), random.Random(6)
-    locals_, actuators = codec.encode(VALUES, {"Motion.target": Point(1.0, 2.0, 3.0)})
-    assert codec.decode(locals_, b"") is None and codec.decode(b"\x91\x05", actuators) is None
-    assert codec.decode(locals_, LocalsCodec(CODED).encode(VALUES, {"Motion.target": Point(float("nan"))})[1]) is None
+    codec, rng = LocalsCodec([CODED]), random.Random(6)
+    record = codec.encode([Life(1, VALUES, {"Motion.target": Point(1.0, 2.0, 3.0)}, False)], 0)
+    locals_, actuators = record.locals, record.actuators
+
+    def decoded(locals_: bytes, actuators: bytes) -> list[Life] | None:
+        several = LocalsCodec([CODED, CODED]).decode(msgspec.structs.replace(record, locals=locals_))
+        return codec.decode(msgspec.structs.replace(record, locals=locals_, actuators=actuators)) or several
+
+    assert decoded(locals_, b"") is None and decoded(b"\x91\x05", actuators) is None
+    nowhere = codec.encode([Life(1, VALUES, {"Motion.target": Point(float("nan"))}, False)], 0)
+    assert codec.decode(nowhere) is None
     for _ in range(3000):
         data = bytearray(locals_ if rng.random() < 0.5 else rng.randbytes(rng.randrange(40)))
         for _ in range(rng.randrange(4)):
             if data:
                 data[rng.randrange(len(data))] = rng.randrange(256)
-        codec.decode(bytes(data), bytes(data[: rng.randrange(len(data) + 1)]))
-        codec.decode(locals_, bytes(data))
+        decoded(bytes(data), bytes(data[: rng.randrange(len(data) + 1)]))
+        decoded(locals_, bytes(data))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 from koordgen.runtime.agent.output_commit import MOST_WAITING, OutputCommit, has_outputs
@@ -16,7 +16,7 @@ class Store:
     """The part of a StateMachine that an Outbox looks at."""
 
     applied: int = 0
-    won: int = 0
+    won: dict[int, int] = field(default_factory=dict)
     committed: int = 0
 
     def as_state(self) -> StateMachine:
@@ -40,7 +40,7 @@ def rounds(records: list[RoundRecord]) -> list[int]:
 
 
 def box(*records: RoundRecord) -> OutputCommit:
-    outbox = OutputCommit(life(0))
+    outbox = OutputCommit(life(0), 0)
     for record in records:
         outbox.add(record, life=None if record.effects is None else life(record.round))
     return outbox
@@ -69,11 +69,11 @@ def test_without_a_store_only_records_before_the_first_event_are_certain() -> No
 
 
 def test_a_transaction_that_won_is_an_event_once_its_round_is_committed() -> None:
-    outbox, store = OutputCommit(life(0)), Store(applied=4)
+    outbox, store = OutputCommit(life(0), 0), Store(applied=4)
     outbox.add(did(5, m=1), 0, life(5))
     assert [outbox.undecided, outbox.decide(store.as_state()), outbox.life] == [True, None, life(0)]
     assert outbox.ready(store.as_state()) == []
-    store.applied = store.won = 5
+    store.applied, store.won = 5, {0: 5}
     assert [outbox.decide(store.as_state()), outbox.life, outbox.undecided] == [True, life(5), False]
     assert outbox.decide(store.as_state()) is None
     assert outbox.ready(store.as_state()) == [] and outbox.first == 5
@@ -82,7 +82,7 @@ def test_a_transaction_that_won_is_an_event_once_its_round_is_committed() -> Non
 
 
 def test_a_transaction_that_lost_contention_is_no_event() -> None:
-    outbox, store = OutputCommit(life(0)), Store(applied=5, won=3)
+    outbox, store = OutputCommit(life(0), 0), Store(applied=5, won={0: 3})
     outbox.add(did(5, m=1), 0, life(5))
     assert outbox.decide(store.as_state()) is False and outbox.first is None
     [record] = outbox.ready(store.as_state())

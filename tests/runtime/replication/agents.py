@@ -30,7 +30,7 @@ def rounds_of(robot: Robot) -> Rounds | None:
 
 def locals_of(robot: Robot) -> Mapping[str, Any]:
     """Return the robot's own variables."""
-    return robot.agent._runner.locals
+    return robot.agent._instances[0].runner.locals
 
 
 def has_stopped(robot: Robot) -> bool:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
 
+from koordgen.runtime.agent.instance import AgentInstance
 from koordgen.runtime.agent.rounds import Lost, Rounds
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.wire import (
@@ -246,13 +247,15 @@ class Fleet:
 
         hard_state = HardState(kept.view, kept.applied, kept.vote)
         replica = Replica(pid, self._layout, state, hard_state, self._timeout, self._room)
-        driver = Driver(replica, cast(Any, link), kept.persist, lambda private: kept.keep(private[0]))
+        driver = Driver(replica, cast(Any, link), kept.persist, lambda private: kept.keep(private[0][0]))
         lives = [kept.lives[r] for r in sorted(kept.lives)]
         program, body = _Program(pid, lives[-1].locals, self._events), _Body(self._commanded[pid].append)
         clock = SimpleNamespace(read=lambda t: t, local=lambda t: t)
+        instance = AgentInstance(cast(Any, program), pid, lambda: 0.0)
+        instance.begin(lives)
         rounds = Rounds(
-            cast(Any, program), cast(Any, body), driver, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0,
-            1.0, lives, lambda record: None,
+            [instance], cast(Any, body), driver, cast(Any, clock), tuple(f"r{p}" for p in range(self.n)), 0.0, 1.0,
+            lambda record: None,
         )  # fmt: skip
         return _Robot(replica, rounds, body, flights, kept)
 

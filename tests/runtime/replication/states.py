@@ -51,6 +51,12 @@ def silent(author: int, first: int, round_: int, incarnation: int = 0, stopped: 
     return Entry(author, incarnation, first, round_, stopped)
 
 
+def writes_of(entry: Entry) -> tuple[Write, ...]:
+    """Return the writes of an entry whose author has one instance."""
+    assert isinstance(entry.writes, tuple)
+    return entry.writes
+
+
 def append(state: StateMachine, *entries: Entry, round_: int = 20) -> list[str | None]:
     """Hand entries to a state machine in this round. Return for each why it was refused."""
     return [state.append(entry, round_) for entry in entries]

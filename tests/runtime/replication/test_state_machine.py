@@ -14,7 +14,7 @@ from koordgen.runtime.program.program import Variable
 from koordgen.runtime.replication.log import MOST_BEHIND_GAP
 from koordgen.runtime.replication.state_machine import AHEAD, DROP_EVERY, MOST_PAST, WINDOW, StateMachine
 from koordgen.runtime.values.bounds import Text
-from tests.runtime.replication.states import acted, append, contents, fleet, layout, silent, view, write
+from tests.runtime.replication.states import acted, append, contents, fleet, layout, silent, view, write, writes_of
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -64,7 +64,7 @@ def test_rounds_of_any_entries_have_the_result_that_the_rule_gives(seed: int) ->
     for round_ in range(1, 40):
         entries = [random_entry(rng, author, round_, locks=rng.choice((0, 0, 2))) for author in range(n)]
         own = entries[0]
-        shared = {("x", "last")[w.index]: round_ * 10 for w in own.writes}
+        shared = {("x", "last")[w.index]: round_ * 10 for w in writes_of(own)}
         alice.close(
             round_, shared, stopped=own.stopped, acted=own.acted, awaits_commit=own.awaits_commit, lock=own.lock
         )
@@ -77,7 +77,7 @@ def test_rounds_of_any_entries_have_the_result_that_the_rule_gives(seed: int) ->
         commits = [e for e in entries if e.lock >= 0 and best[e.lock] == e.author]
         for entry in (*commits, *[e for e in entries if e.lock < 0]):
             author, value = entry.author, round_ * 10 + entry.author
-            for index in [w.index for w in entry.writes]:
+            for index in [w.index for w in writes_of(entry)]:
                 slots = (*store["x"][:author], value, *store["x"][author + 1 :])
                 store = {**store, "x": slots} if index == 0 else {**store, "last": value}
             if entry.acted:
@@ -87,7 +87,7 @@ def test_rounds_of_any_entries_have_the_result_that_the_rule_gives(seed: int) ->
             if entry.stopped:
                 stopped.setdefault(entry.author, round_)
         past.append((store, list(counted), dict(stopped)))
-        assert contents(alice) == (round_, store, stopped, counted) and alice.won == won
+        assert contents(alice) == (round_, store, stopped, counted) and alice.won.get(0, 0) == won
         assert alice.awaiting == tuple(e.author for e in entries if e.awaits_commit)
         alice.committed = max(alice.committed, round_ - rng.randrange(1, 20))
     back = rng.randrange(alice.committed, 40)
@@ -180,7 +180,7 @@ def test_a_long_text_that_changes_little_is_sent_as_a_patch(length: int) -> None
     for round_ in (1, 2):
         state.close(round_, {"text": "a" * length + str(round_)}, stopped=False, acted=True)
         assert state.apply_rounds() and state.shared == {"text": "a" * length + str(round_)}
-    assert [w.patch for w in state.own(2)[0].writes] == [length > PATCH_FROM]
+    assert [w.patch for w in writes_of(state.own(2)[0])] == [length > PATCH_FROM]
 
 
 def test_entries_behind_a_gap_are_kept_only_up_to_a_bound() -> None:

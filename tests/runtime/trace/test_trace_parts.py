@@ -20,6 +20,7 @@ from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent.process import _open_trace
 from koordgen.runtime.config.settings import BadSettings, load
 from koordgen.runtime.ops import doctor
+from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.trace.parts import TraceFileParts
 from koordgen.runtime.trace.writer import Trace
 from tests.disk import small_disk
@@ -46,7 +47,7 @@ def begun(folder: Path, limit: int = 8000, warnings: list[str] | None = None) ->
     trace = Trace(
         TraceFileParts(folder / "trace.jsonl", "alice", limit), (warnings if warnings is not None else []).append
     )
-    trace.header(PROGRAM, "alice", 0, 3, 0.1)
+    trace.header(FleetProgram.alone(PROGRAM, 3), "alice", 0, 3, 0.1)
     return trace
 
 
@@ -179,7 +180,7 @@ def test_an_agent_writes_parts_and_a_device_has_none(tmp_path: Path) -> None:
     path = tmp_path / "trace.jsonl"
     for start in range(3):
         trace = _open_trace(settings(0, 3, trace=str(path), trace_limit=1.0))
-        trace.header(PROGRAM, "alice", 0, 3, 0.1)
+        trace.header(FleetProgram.alone(PROGRAM, 3), "alice", 0, 3, 0.1)
         for _ in range(300):
             trace.log(start, "info", "x" * 3000)
         trace.close()
