@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 
@@ -305,3 +306,10 @@ def test_functions_and_templates_keep_to_their_size() -> None:
 )
 def test_what_is_generated_is_fresh(generator: str) -> None:
     subprocess.run([sys.executable, "-m", generator, "--check"], cwd=ROOT, check=True)
+
+
+def test_every_file_of_tests_is_collected(pytestconfig: pytest.Config) -> None:
+    left_out = pytestconfig.getini("norecursedirs")
+    folders = {path.parent.relative_to(ROOT) for path in (ROOT / "tests").rglob("test_*.py")}
+    assert Path("tests/build/emit") in folders
+    assert [f for f in folders for part in f.parts if any(fnmatch(part, pattern) for pattern in left_out)] == []

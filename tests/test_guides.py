@@ -168,7 +168,10 @@ def test_every_piece_of_a_fleet_file_fits_into_one(name: str, tmp_path: Path) ->
 
 
 def test_every_verdict_of_the_page_about_invariants_is_the_provers(tmp_path: Path) -> None:
-    """`The verdict is X` below a program is the worst of its verdicts. `Without the line Y, it is Z` is tried, too."""
+    """`The verdict is X` below a program is the worst of its verdicts.
+
+    `Without the line Y, the verdict is Z` is tried, too.
+    """
     told = 0
     order = ["FALSIFIED", "NOT INDUCTIVE", "UNKNOWN", "PROVED"]
 
@@ -184,7 +187,7 @@ def test_every_verdict_of_the_page_about_invariants_is_the_provers(tmp_path: Pat
         says = re.search(r"The verdict is ([A-Z]+(?: [A-Z]+)*)", words)
         assert says and worst(text) == says[1], text
         told += 1
-        if without := re.search(r"Without the line `([^`]+)`, it is ([A-Z]+)", words):
+        if without := re.search(r"Without the line `([^`]+)`, the verdict is ([A-Z]+)", words):
             kept = [line for line in text.splitlines(keepends=True) if not line.strip().startswith(without[1])]
             assert len(kept) == len(text.splitlines()) - 1 and worst("".join(kept)) == without[2], without[1]
             told += 1

@@ -18,7 +18,7 @@ WIDTH = 116  # columns
 
 
 def kernels() -> list[Any]:
-    """Return the CasADi functions that the algorithm calls, in the order of the file."""
+    """Return the CasADi functions that the solver calls, in their order in mpc.c."""
     import casadi as ca
 
     z, u, wheelbase = ca.SX.sym("z", STATES), ca.SX.sym("u", INPUTS), ca.SX.sym("wheelbase")

@@ -53,7 +53,11 @@ class Unreadable(Exception):
 
 
 class Rules(NamedTuple):
-    """Allowed differences. `renames`: (old, new, file or folder of OLD). `literals`: None if no text may change."""
+    """Allowed differences.
+
+    `renames`: triples (old name, new name, file or folder of OLD). `literals`: pairs of string literals, of which the
+    second one may replace the first; None if no docstring and no literal may change.
+    """
 
     renames: tuple[tuple[str, str, str], ...] = ()
     literals: frozenset[tuple[str, str]] | None = None
@@ -65,7 +69,10 @@ class Rules(NamedTuple):
 
 
 class Definition:
-    """A top-level statement. `tokens`: its tree in pre-order. `names`: the names that it binds."""
+    """Top-level statement of a module.
+
+    `tokens`: the nodes of its syntax tree, in pre-order. `names`: the names that the statement binds.
+    """
 
     def __init__(self, module: Module, node: ast.stmt, names: tuple[str, ...]) -> None:
         self.module, self.node, self.names = module, node, names
@@ -83,7 +90,7 @@ class Definition:
 
     @property
     def label(self) -> str:
-        """Kind and names of the definition; renamed names appear as in NEW."""
+        """Kind and names of the definition. A renamed definition has its new name."""
         renames = self.module.renames
         return " ".join((self.kind, *[renames.get(name, name) for name in self.names]))
 
@@ -93,9 +100,9 @@ class Definition:
 
 
 class Token(NamedTuple):
-    """One step of a walk over a tree.
+    """One step of a walk over a syntax tree.
 
-    `key`: must equal the key of the same step in the partner, the matching definition of the other commit.
+    `key`: a text that is equal in both commits if the step is equal.
     `target`: the object that a name denotes. `literal`: a string that rules may replace.
     """
 
@@ -160,7 +167,7 @@ class Module:
         return ".".join([*parts[: len(parts) - node.level + 1], *([node.module] if node.module else [])])
 
     def renamed(self, names: Iterable[str], line: int) -> Iterator[str]:
-        """Yield an error for each two names of one scope that the renames make equal."""
+        """Yield an error for each pair of names of one scope that the renames make equal."""
         found = Counter(self.renames.get(name, name) for name in set(names))
         for name, count in found.items():
             if count > 1:
@@ -179,7 +186,7 @@ class Module:
 
 
 class Frame:
-    """Names of one scope inside a definition."""
+    """Scope inside a definition, for example of a function, with its names."""
 
     def __init__(self, is_class: bool = False) -> None:
         self.is_class = is_class
@@ -189,7 +196,7 @@ class Frame:
 
 
 def _bound(body: Iterable[ast.AST], module: Module, is_class: bool = False) -> Frame:
-    """Return the names that statements bind in their own scope."""
+    """Return the scope of some statements: the names that they bind, without those of inner functions."""
     frame = Frame(is_class)
     outer: set[str] = set()
     pending = [(node, True) for node in body]
@@ -253,9 +260,9 @@ class Commit:
                 module.imports.setdefault(bound, f"{name}.{bound}")
 
     def resolve(self, dotted: str, depth: int = 0) -> tuple[Definition | Module | None, str, list[str]]:
-        """Return the object that a dotted path denotes, its name in NEW, and the remaining attributes of the path.
+        """Return the object that a dotted path denotes, the name of the object in NEW, and the rest of the path.
 
-        The object is None outside the repository.
+        The object is None if the path leads outside of the repository.
         """
         parts = dotted.split(".")
         for size in range(len(parts), 0, -1):
@@ -290,7 +297,7 @@ class _Walk:
         self.put(f"identifier {self.module.renames.get(name, name)}")
 
     def statements(self, body: list[ast.stmt]) -> None:
-        """Walk a block. Imports that follow one another count as a set."""
+        """Walk a block of statements. Imports that follow one another may stand in any order."""
         if self.commit.text_may_change:
             body = [node for node in body if not _is_text(node)]
             body = [] if len(body) == 1 and isinstance(body[0], ast.Pass) else body
@@ -382,7 +389,7 @@ class _Walk:
                 self.generic(node)
 
     def generic(self, node: ast.AST, without: tuple[str, ...] = ()) -> None:
-        """Walk the class of a node, and its fields."""
+        """Walk a node: first the class of the node, then its fields."""
         self.put(type(node).__name__)
         for field, value in ast.iter_fields(node):
             if field not in ("ctx", "kind", "type_comment", "type_ignores", *without):
@@ -466,7 +473,7 @@ def _is_text(node: ast.stmt) -> bool:
 def partners(old: list[Definition], new: list[Definition]) -> dict[Definition, Definition]:
     """Return pairs of definitions with equal tokens.
 
-    Of several equal definitions, those are partners whose modules contain other partners.
+    If several definitions are equal, those are paired whose modules already contain other pairs.
     """
     keyed: dict[tuple[str, ...], tuple[list[Definition], list[Definition]]] = defaultdict(lambda: ([], []))
     for side, definitions in enumerate((old, new)):
@@ -523,7 +530,7 @@ def differences(old: Commit, new: Commit, rules: Rules, paths: tuple[str, ...]) 
 
 
 def _meeting(module: Module, origins: dict[Definition, Definition]) -> Iterator[str]:
-    """Yield definitions of one name that moved from several modules into one: only the last of them stays visible."""
+    """Yield an error for each name that several modules of OLD defined and one module of NEW defines more than once."""
     first: dict[str, Definition] = {}
     for other in module.statements:
         for name in other.names:
@@ -545,7 +552,7 @@ def _inside(
     moves: set[tuple[Module, Module]],
     rules: Rules,
 ) -> Iterator[str]:
-    """Yield differences between partners: in the objects that their names denote, and in their strings."""
+    """Yield the differences between two paired definitions: names that denote other objects, and other strings."""
     for a, b in _pairs(one, other, moves):
         places = f"{one.module.path}:{a.line} -> {other.module.path}:{b.line}: {one.label}"
         match a.target, b.target:

@@ -2,8 +2,9 @@
 
     python -m tools.trace_tables [--check]
 
-In `koordgen/runtime/trace/schema.py` the comment of a field says what the key means, with its unit in brackets. --check
-writes nothing. The exit status is 1 if the page has other tables, or if a field of the schema has no comment.
+In `koordgen/runtime/trace/schema.py`, the comment of a field says what the key means, with its unit in brackets. A
+field without a comment is an error (exit status 1). With --check nothing is written, and the exit status is 1 if the
+tables of the page are out of date.
 """
 
 from __future__ import annotations

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import Diagnostic, in_order, together
-from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.decl import Program, own_shared
 from koordgen.lang.ir.stmt import LoopInvariant
 from koordgen.lang.ir.tree import walk
-from koordgen.lang.ir.types import POINT, RecordType, Sequence, list_of
+from koordgen.lang.ir.types import POINT, RecordType, list_of
+from koordgen.lang.ir.types import Sequence as SequenceType
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
@@ -23,8 +24,9 @@ if TYPE_CHECKING:  # `check` needs none of these; functions import them late, si
     from koordgen.build.bundle.plan import Files
     from koordgen.fleet.file import Fleet
     from koordgen.fleet.manifest import Target
-    from koordgen.fleet.settings import DriverClass, NameChecks
+    from koordgen.fleet.settings import DriverClass, NameChecks, ValueCheck
     from koordgen.lang.analyze.params import Value
+    from koordgen.lang.semantics.composition import System
 
 
 class Rejected(Exception):
@@ -41,6 +43,18 @@ class Checked(Node):
     source: Source
     program: Program
     diagnostics: tuple[Diagnostic, ...]
+
+
+class CheckedSystem(Node):
+    """The applications of a fleet file without errors: their programs, in the order of the file, and the system.
+
+    `source`: the fleet file. The programs of `system` have the params of the fleet file; those of `parts` do not.
+    """
+
+    source: Source
+    fleet: Fleet
+    parts: tuple[Checked, ...]
+    system: System
 
 
 def read_source(path: str) -> Source:
@@ -232,21 +246,86 @@ def read_fleet(
     Without a `program`, params are not checked against their declarations. Classes that settings name are looked up in
     the folder of the fleet file, then in that of the program.
     """
-    from koordgen.fleet import file as fleet
     from koordgen.fleet.settings import NameChecks
 
     source = read_source(path)
+    params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
+    folders = _folders(path, program_path or path)
+    known = _known({"": program}, folders) if program is not None else NameChecks()
+    read = _read_fleet(source, targets, params, known)
+    if program is not None and read.applications:
+        message = f"this fleet file names the programs of its applications, but {program_path} is given as well"
+        help = f"name the fleet file alone, without a program: {path}"
+        span = read.applications[0].spans[""]
+        raise Rejected([(source, Diagnostic("F005", "error", message, span, help=help))])
+    return read, read.params
+
+
+def _read_fleet(
+    source: Source, targets: Mapping[str, Target], params: Mapping[str, ValueCheck] | None, known: NameChecks
+) -> Fleet:
+    """Read a fleet file. Raises Rejected."""
+    from koordgen.fleet import file as fleet
+
     found: list[tuple[Source, Diagnostic]] = []
 
     def report(code: str, message: str, span: Span, help: str) -> None:
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
-    known = _known(program, path, program_path or path) if program is not None else NameChecks()
     read = fleet.read(source, targets, params, report, known)
     if read is None:
         raise Rejected(found)
-    return read, read.params
+    return read
+
+
+def _folders(*paths: str) -> list[Path]:
+    """Return the folders of files, each once, in their order."""
+    from pathlib import Path
+
+    return list(dict.fromkeys(Path(path).parent for path in paths))
+
+
+def check_system(fleet_path: str) -> CheckedSystem:
+    """Check the programs of a fleet file's `applications`, and whether they fit together.
+
+    Raises Rejected, ManifestError.
+    """
+    from pathlib import Path
+
+    from koordgen.build.bundle.ports import check_ports
+    from koordgen.build.composition import ApplicationProgram, compose
+    from koordgen.fleet import manifest
+    from koordgen.fleet.applications import named_programs
+
+    source = read_source(fleet_path)
+    folder = Path(fleet_path).parent
+    checked: dict[str, Checked] = {}
+    found: list[tuple[Source, Diagnostic]] = []
+    named = named_programs(source)
+    for program in dict.fromkeys(named.values()):
+        try:
+            checked[program] = check_part(str(folder / program))
+        except Rejected as rejected:
+            found += rejected.found
+    if found:
+        raise Rejected(found)
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    by_name = {name: checked[program].program for name, program in named.items()}
+    known = _known(by_name, _folders(fleet_path, *(str(folder / p) for p in checked)))
+    fleet = _read_fleet(source, targets, None, known)
+    if not fleet.applications:
+        message = "the fleet file names no program"
+        help = "list programs under `applications:`, or name a program on the command line and this file with --fleet"
+        raise Rejected([(source, Diagnostic("F003", "error", message, Span(1, 1, 1, 2), help=help))])
+    parts = [ApplicationProgram(a, checked[a.program].source, checked[a.program].program) for a in fleet.applications]
+    for part in parts:
+        used = {fleet.robots[place].target: None for place in part.settings.members}
+        wrong = check_ports(part.program, [targets[name] for name in used], fleet.drivers)
+        found += [(part.source, d) for d in wrong]
+    system, misfits = compose(parts, source, fleet.robots, fleet.drivers)
+    if system is None or found:
+        raise Rejected([*found, *misfits])
+    return CheckedSystem(source, fleet, tuple(checked[a.program] for a in fleet.applications), system)
 
 
 def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
@@ -259,43 +338,58 @@ def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[
     return read_fleet(path, targets, checked.program, program_path)[1]
 
 
-def _known(program: Program, fleet_path: str, program_path: str) -> NameChecks:
+def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChecks:
+    """Return the checks of names in a fleet file.
+
+    `programs`: the fleet's only program under the name "", or the program of each application. Names of variables and
+    properties of an application begin with the application's name and a dot. `folders` may have the user's classes.
+    """
     from functools import cache
-    from pathlib import Path
 
     from koordgen.build.bundle.drivers import own_class
     from koordgen.fleet.settings import DriverClass, NameChecks
 
-    folders = [Path(fleet_path).parent, Path(program_path).parent]
+    shared = {_named(prefix, s.name): s for prefix, program in programs.items() for s in own_shared(program)}
 
     def unpublished(name: str) -> str:
-        known = [s.name for s in program.shared if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
+        known = [n for n, s in shared.items() if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
         if name in known:
             return ""
         possible = f"; possible values: {', '.join(known)}" if known else ""
-        return f"avoid is {name!r}: the program has no allread variable {name} of type Point or List<Point>{possible}"
+        return f"avoid is {name!r}: there is no allread variable {name} of type Point or List<Point>{possible}"
 
     def unmarked(name: str, position: str) -> str:
-        found = next((s.type for s in program.shared if s.name == name), None)
-        element = found.element if isinstance(found, Sequence) else None
+        found = shared[name].type if name in shared else None
+        element = found.element if isinstance(found, SequenceType) else None
         places = [field for field, type_ in element.fields if type_ == POINT] if isinstance(element, RecordType) else []
         if position in places or (element == POINT and not position):
             return ""
         field = f"whose elements have a Point {position!r}" if position else "of Points"
         possible = f"; possible positions: {', '.join(places)}" if places else ""
-        return f"marker_list.variable is {name!r}: the program has no shared list {name} {field}{possible}"
+        return f"marker_list.variable is {name!r}: there is no shared list {name} {field}{possible}"
 
     @cache  # most robots name the same class, and each inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
-        return own_class(DriverClass(module, name), methods, program, folders)
+        driver, folders_ = DriverClass(module, name), list(folders)
+        return next(filter(None, (own_class(driver, methods, p, folders_) for p in programs.values())), "")
 
+    own = tuple(_named(prefix, name) for prefix, program in programs.items() for name in _properties(program))
+    return NameChecks(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), own)
+
+
+def _named(prefix: str, name: str) -> str:
+    return f"{prefix}.{name}" if prefix else name
+
+
+def _properties(program: Program) -> list[str]:
+    """Return the names of a program's properties as `monitors` in a fleet file names them."""
     own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
     own += [f"assume {module.name}" for module in program.modules if module.assumptions]
     own += [f"requires {f.name}" for f in program.externs if f.requires]
     own += [f"ensures {f.name}" for f in program.externs if f.ensures]
     if any(isinstance(node, LoopInvariant) for node in walk((program.init, program.events, program.functions))):
         own.append("loop invariants")
-    return NameChecks(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), tuple(own))
+    return own
 
 
 def _fits(program: Program, name: str) -> Callable[[Value], str]:

@@ -109,10 +109,12 @@ def _help(options: Namespace) -> int:
 
 
 def _check(options: Namespace) -> int:
-    from koordgen.build.pipeline import check_part
+    from koordgen.build.pipeline import check_part, check_system
+    from koordgen.cli.base.values import is_fleet
 
-    checked = check_part(options.program)
-    print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
+    parts = check_system(options.program).parts if is_fleet(options.program) else (check_part(options.program),)
+    once = {part.source.path: part for part in parts}
+    print_diagnostics([(part.source, d) for part in once.values() for d in part.diagnostics], options)
     return HOLDS
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from koordgen.fleet.applications import ApplicationSettings, read_applications
 from koordgen.fleet.deployment import DeploymentSettings, read_deployment
 from koordgen.fleet.manifest import Target
 from koordgen.fleet.medium import Medium, read_link, read_network
@@ -40,7 +41,7 @@ class Fleet(Node):
     """A checked fleet file, as plain values of the bundles' JSON files.
 
     params: numbers, bools, texts, lists and tables, by the param's name. drivers: by module. harness: settings of
-    harnesses, by the target's name.
+    harnesses, by the target's name. applications: empty if the command line names the only program of the fleet.
     """
 
     application_id: int
@@ -63,6 +64,7 @@ class Fleet(Node):
     network: dict[str, Any]  # `transport`, and its settings
     mocap: Mocap
     deployment: DeploymentSettings
+    applications: tuple[ApplicationSettings, ...] = ()
 
 
 def read(
@@ -94,7 +96,7 @@ def _read(
     mistakes: list[Any],
 ) -> Fleet:
     harnesses = sorted(name for name, t in targets.items() if t.kind == "harness")
-    optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules"]
+    optional = ["application_id", "key", "insecure", "params", "safety", "obstacles", "modules", "applications"]
     optional += ["monitors", "planner_budget", "avoid", "link", "network", "mocap", "world", "deploy", *harnesses]
     top = reader.table(reader.document(), "the fleet file", ["delta", "origin", "geofence", "robots"], optional)
     origin = reader.table(top.get("origin"), "origin", ["latitude", "longitude", "altitude"], [])
@@ -104,6 +106,10 @@ def _read(
     roster = read_robots(reader, top.get("robots"), targets, known)
     if not mistakes:
         check_starts(reader, roster, targets, geofence, world, obstacles)
+    applications = read_applications(reader, top.get("applications"), [robot.name for robot in roster.robots])
+    if applications and "params" in top:
+        help = "move each param into the entry of its application, under `params:`"
+        reader.report("F005", "params of several applications do not stand here", top["params"], help)
     insecure = bool(reader.scalar(top.get("insecure"), "insecure", bool))
     return Fleet(
         application_id=reader.number(top.get("application_id"), "application_id", 0, 65535, int) or 0,
@@ -119,7 +125,7 @@ def _read(
         avoid=_avoid(reader, top.get("avoid"), known.avoid),
         key=_key(reader, top.get("key"), insecure),
         insecure=insecure,
-        params={} if params is None else _params(reader, top.get("params"), params),
+        params={} if params is None or applications else _params(reader, top.get("params"), params),
         safety=_safety(reader, top.get("safety")),
         monitors=_monitors(reader, top.get("monitors"), known, roster.robots, targets),
         planner_budget=reader.number(top.get("planner_budget"), "planner_budget (seconds)", 0.0005, 1.0),
@@ -130,6 +136,7 @@ def _read(
         network=read_network(reader, top.get("network")),
         mocap=read_mocap(reader, top.get("mocap")),
         deployment=read_deployment(reader, top.get("deploy")),
+        applications=applications,
     )
 
 

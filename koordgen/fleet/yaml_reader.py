@@ -86,12 +86,16 @@ class YamlReader:
 
     def report(self, code: str, message: str, node: YamlNode, help: str = "") -> None:
         """Report an error that the caller found, at the place of a node."""
+        self._report(code, message, self.span(node), help)
+
+    def span(self, node: YamlNode) -> Span:
+        """Return the place of a node; for a block of several lines, that of its first line."""
         start, end = node.start_mark, node.end_mark
-        if end.line != start.line:  # for a block, point at its first line only
+        if end.line != start.line:
             end_line, end_column = start.line, max(start.column + 1, len(self._source.line(start.line + 1)))
         else:
             end_line, end_column = end.line, max(end.column, start.column + 1)
-        self._report(code, message, Span(start.line + 1, start.column + 1, end_line + 1, end_column + 1), help)
+        return Span(start.line + 1, start.column + 1, end_line + 1, end_column + 1)
 
     def table(
         self, node: YamlNode | None, what: str, required: Iterable[str], optional: Iterable[str]

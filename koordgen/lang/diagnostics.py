@@ -89,6 +89,8 @@ CATALOGUE: dict[str, str] = {
     "B009": "an event's writes may need several datagrams",
     "B010": "the target's port has another meaning",
     "B011": "a program with imports or guarantees does not run alone",
+    "B012": "an import does not fit what the other application exports",
+    "B013": "two applications use one robot in ways that do not fit",
 }
 
 

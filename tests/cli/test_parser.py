@@ -51,7 +51,7 @@ def test_robots_may_stand_before_and_behind_options() -> None:
         ("validate a.koord --offset -1,0,0", "koordgen validate APP.koord", "--offset=-1,0,0"),
         ("prove app.koord --robots 0", "koordgen prove APP.koord", "a number from 1 to 1000"),
         ("check", "koordgen check APP.koord", "required: APP.koord"),
-        ("check fleet.yaml", "koordgen check APP.koord", "expected a program (.koord), not the YAML file fleet.yaml"),
+        ("dump fleet.yaml", "koordgen dump APP.koord", "expected a program (.koord), not the YAML file fleet.yaml"),
         (
             "fmt a.koord fleet.yml",
             "koordgen fmt FILE...",

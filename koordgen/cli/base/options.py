@@ -10,7 +10,7 @@ from koordgen.cli.base.parser import Parser
 
 def check(command: Parser) -> None:
     """Options of `koordgen check`."""
-    _program(command)
+    _program_or_fleet(command)
     _diagnostics(command.add_argument_group("output"))
 
 
@@ -433,6 +433,11 @@ def completion(command: Parser) -> None:
 
 def _program(command: Parser) -> None:
     command.positional.add_argument("program", metavar="APP.koord", type=values.program, help="the program")
+
+
+def _program_or_fleet(command: Parser) -> None:
+    file = "the program, or a fleet file (YAML) that names the programs of its applications"
+    command.positional.add_argument("program", metavar="APP.koord", help=file)
 
 
 def _trace(command: Parser) -> None:

@@ -12,10 +12,15 @@ LONGEST = 86400.0  # largest time of options, in seconds
 
 def program(text: str) -> str:
     """Return the path of a program; refuse a YAML file."""
-    if text.endswith((".yaml", ".yml")):
+    if is_fleet(text):
         way = f"`koordgen build APP.koord --fleet {text}` checks a fleet file together with its program"
         raise argparse.ArgumentTypeError(f"expected a program (.koord), not the YAML file {text}; {way}")
     return text
+
+
+def is_fleet(path: str) -> bool:
+    """Return whether a file that `program_or_fleet` accepts is a fleet file, by its name."""
+    return path.endswith((".yaml", ".yml"))
 
 
 def fleet(text: str) -> str:

@@ -83,7 +83,7 @@ _CHANGED = {
 
 
 def made_for(stored: Mapping[str, Any]) -> str:
-    """Return the purpose of a stored plan; the purpose of a campaign if the plan names no known purpose."""
+    """Return the purpose that a stored plan names: VALIDATION or PROBES. Every other plan counts as CAMPAIGN."""
     what = stored.get("what")
     return what if what in (VALIDATION, PROBES) else CAMPAIGN
 

@@ -90,8 +90,9 @@ def _claim(found: ValidationReport) -> str:
     if found.verdict == "VIOLATED":
         platforms = ", ".join(dict.fromkeys(v.platform for v in found.verdicts if v.verdict == "VIOLATED"))
         return f"a proof that uses these assumptions does not cover {platforms}"
-    asked = f"{bound.needed} runs without a violation are needed to show with confidence {1 - bound.gamma:g}"
-    return f"{asked} that {says} ({bound.needed} >= ln(1/{bound.gamma:g})/{bound.epsilon:g})"
+    needed = f"{bound.needed} runs without a violation are needed"
+    why = f"{bound.needed} >= ln(1/{bound.gamma:g})/{bound.epsilon:g}"
+    return f"to show with confidence {1 - bound.gamma:g} that {says}, {needed} ({why})"
 
 
 def _assumption(found: ValidationReport, verdicts: Sequence[AssumptionVerdict], commands: Commands) -> Iterator[str]:

@@ -302,3 +302,9 @@ class Program(Node):
             return ()
         block = [other for other in self.events if other.priority == event.priority]
         return tuple(block[: [other.name for other in block].index(event.name)])
+
+
+def own_shared(program: Program) -> list[Shared]:
+    """Return the shared variables that a program itself declares, without imported ones."""
+    imported = {name for each in program.imports for name in each.variables}
+    return [variable for variable in program.shared if variable.name not in imported]

@@ -6,7 +6,7 @@ application by pid. With one application on all robots the number of an instance
 
 from __future__ import annotations
 
-from koordgen.lang.ir.decl import Import, Program, Shared
+from koordgen.lang.ir.decl import Import, Program, Shared, own_shared
 from koordgen.lang.node import Node
 
 
@@ -65,9 +65,7 @@ class System(Node):
 
     def own(self, application: int) -> tuple[Shared, ...]:
         """Return the shared variables that an application itself declares."""
-        program = self.applications[application].program
-        foreign = {name for imported in program.imports for name in imported.variables}
-        return tuple([variable for variable in program.shared if variable.name not in foreign])
+        return tuple(own_shared(self.applications[application].program))
 
     def locks(self) -> dict[tuple[int, int], int]:
         """Return the lock of the system for each lock of each application: (application, its lock) -> lock.

@@ -252,7 +252,7 @@ def tree(text: str) -> str:
     return ast.dump(module)
 
 
-@pytest.mark.parametrize("width", [30, 60])
+@pytest.mark.parametrize("width", [pytest.param(30, marks=pytest.mark.slow), 60])
 def test_a_text_means_the_same_however_wide_it_is(monkeypatch: pytest.MonkeyPatch, width: int) -> None:
     programs = [*map(example, ALL), *map(random_program, range(40))]
     texts = [emit(program) for program in programs for emit in (program_text, properties_text)]

@@ -14,7 +14,7 @@ from koordgen.build.bundle.drivers import check_drivers, driver_files
 from koordgen.build.bundle.functions import check_functions, functions_file
 from koordgen.build.bundle.port_calls import check_calls
 from koordgen.build.bundle.ports import check_ports
-from koordgen.build.pipeline import Rejected, check_alone, read_source
+from koordgen.build.pipeline import Rejected, check_alone, check_system, read_source
 from koordgen.cli import main
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest
@@ -156,7 +156,33 @@ def with_driver(program: Program, note: str, folder: Path) -> list[Diagnostic]:
     return check_drivers(program, drivers, driver_files(drivers, program, [folder]), ())
 
 
-@pytest.mark.parametrize("code", codes("B"))
+# The other application of the fleet in the examples of a code. It is called `mapping` and runs on the same robot.
+OTHERS = {
+    "B012": "export:\n  List<int> done\nallwrite: List<int> done max 20\nGo:\n  pre: True\n  eff: done = []\n",
+    "B013": "using Motion:\n  sensors: Point position\n  actuators: Point target\n"
+    "Go:\n  pre: True\n  eff: Motion.target = Motion.position\n",
+}
+
+
+@pytest.mark.parametrize("code", OTHERS)
+def test_examples_of_applications(code: str, tmp_path: Path) -> None:
+    head = "delta: 0.1\ninsecure: true\norigin: {latitude: 0, longitude: 0, altitude: 0}\n"
+    head += "geofence: {lo: [-1, -1, 0], hi: [1, 1, 2]}\n"
+    head += "robots: [{name: ann, target: quad, address: 127.0.0.1:9}]\n"
+    head += "applications:\n  - {name: mapping, program: mapping.koord}\n  - {name: task, program: task.koord"
+    (tmp_path / "mapping.koord").write_text(OTHERS[code])
+    for note, text, wanted in examples(explanation(code)):
+        (tmp_path / "task.koord").write_text(text)
+        bound = ", import: {Mapping: mapping}" if "import Mapping" in text else ""
+        (tmp_path / "fleet.yaml").write_text(f"{head}{bound}}}\n")
+        try:
+            told = [d.code for part in check_system(str(tmp_path / "fleet.yaml")).parts for d in part.diagnostics]
+        except Rejected as rejected:
+            told = [d.code for _, d in rejected.found]
+        assert set(told) == wanted, note
+
+
+@pytest.mark.parametrize("code", [code for code in codes("B") if code not in OTHERS])
 def test_examples_of_builds(code: str, tmp_path: Path) -> None:
     found = explanation(code)
     target = re.search(r"--target (\w+)", found.wrong_note)
