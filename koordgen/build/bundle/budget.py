@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # longest forms.
 DATAGRAM = 1200
 MOST_ENTRY, MOST_FRAGMENTS, MOST_SHARED = 128 * 1024, 256, 256
-_WRITE, _ENTRY = 5, 38
+WRITE, ENTRY = 5, 38
 LONGEST_DELTA = 60.0  # seconds; equal to that of koordgen/fleet/file.py
 _UDP, _IP, _FRAME = 8, 20, 38  # bytes of headers: per datagram, per packet, per Ethernet frame (with its gap)
 
@@ -83,11 +83,11 @@ def _check_init(program: Program, robots: int) -> list[Diagnostic]:
     room, total = most_init(robots), _init_bytes(program, program.shared)
     if total <= room or robots < 2:
         return []
-    written = [(v, _most_in(program.init, v)) for v in program.shared]
+    written = [(v, most_in(program.init, v)) for v in program.shared]
     largest = max(written, key=lambda pair: pair[1])[0]
     each = " + ".join(f"{most} for {v.name}" for v, most in written if most)
     message = (
-        f"writes of `init` to shared variables must fit into one datagram; they take up to {total} bytes: {_ENTRY} + "
+        f"writes of `init` to shared variables must fit into one datagram; they take up to {total} bytes: {ENTRY} + "
         f"{each}; with {robots} robots there is room for {room} bytes"
     )
     found = _capacity(largest, lambda v: _init_bytes(program, _with(program.shared, v)) <= room)
@@ -111,15 +111,15 @@ def most_store(robots: int) -> int:
 
 def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
     """Return the most bytes of a state transfer: all slots of these variables, and the protocol's own fields."""
-    members = _head(robots, 16, 0) + NUMBER * robots
-    acted = _head(robots, 16, 0) + 5 * robots
-    beside = 1 + (1 + 2 * NUMBER + members) + NUMBER + _head(len(shared), 16, 0) + members + acted
+    members = array_head(robots, 16, 0) + NUMBER * robots
+    acted = array_head(robots, 16, 0) + 5 * robots
+    beside = 1 + (1 + 2 * NUMBER + members) + NUMBER + array_head(len(shared), 16, 0) + members + acted
     return beside + sum(_kept(v, robots) for v in shared)
 
 
 def most_init(robots: int) -> int:
     """Return the most bytes of the entry with the writes of `init`, which is sent in one datagram, a Hello."""
-    return DATAGRAM - (146 + 20 * min(robots, 8) + _head(robots, 16, 0) + robots)
+    return DATAGRAM - (146 + 20 * min(robots, 8) + array_head(robots, 16, 0) + robots)
 
 
 class Traffic(Node):
@@ -150,7 +150,11 @@ def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool)
 
     `to_all`: one datagram reaches all other robots (broadcast, multicast).
     """
-    writes = _entry(shared)
+    return traffic_of(_entry(shared), robots, link, to_all)
+
+
+def traffic_of(writes: int, robots: int, link: Medium, to_all: bool) -> Traffic:
+    """Return the traffic of a round in which the log entry of each robot has so many bytes. `to_all`: see `traffic`."""
     head = overhead(robots)
     room = DATAGRAM - head
     alone = on_the_medium(head, link.mtu)
@@ -165,7 +169,7 @@ def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool)
 
 def round_bytes(program: Program, robots: int, link: Medium, to_all: bool = False) -> int:
     """Return the most bytes that the fleet sends in one round, headers of packets included."""
-    return traffic(_longest(program), robots, link, to_all).bytes
+    return traffic(longest_event(program), robots, link, to_all).bytes
 
 
 def check_link(
@@ -178,7 +182,7 @@ def check_link(
     """
     if link is None or robots < 2 or not program.events:
         return []
-    shared = _longest(program)
+    shared = longest_event(program)
     found = traffic(shared, robots, link, to_all)
     largest = max(shared, key=lambda v: most_bytes(v.type), default=None)
     span = largest.span if largest else program.events[0].span
@@ -237,7 +241,7 @@ def _up(value: float) -> str:
     return f"{ceil(value / step) * step:.3g}" if value < 100 else f"{ceil(value / step) * round(step)}"
 
 
-def _longest(program: Program) -> tuple[Shared, ...]:
+def longest_event(program: Program) -> tuple[Shared, ...]:
     """Return the shared variables that the event with the largest writes writes."""
     written = (_written(event.effect) for event in program.events)
     return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_entry, default=())
@@ -250,14 +254,14 @@ def _written(block: stmt.Block) -> set[str]:
 
 
 def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
-    return _ENTRY + sum(_most_in(program.init, v) for v in shared)
+    return ENTRY + sum(most_in(program.init, v) for v in shared)
 
 
-def _most_in(block: stmt.Block, variable: Shared) -> int:
+def most_in(block: stmt.Block, variable: Shared) -> int:
     """Return the most bytes of a write to `variable` in a block; 0 if the block does not write it."""
     writes = [s for s in statements(block) if isinstance(s, stmt.Assign)]
     values = [s.value for s in writes if s.place in (stmt.OwnSlot(variable.name), stmt.SharedPlace(variable.name))]
-    return max((_WRITE + most_bytes(_as_long_as(value, variable.type)) for value in values), default=0)
+    return max((WRITE + most_bytes(_as_long_as(value, variable.type)) for value in values), default=0)
 
 
 def _as_long_as(value: expr.Expr, type_: Type) -> Type:
@@ -270,7 +274,7 @@ def _as_long_as(value: expr.Expr, type_: Type) -> Type:
 def _kept(variable: Shared, robots: int) -> int:
     """Return the most bytes of a variable with all its slots."""
     most = most_bytes(variable.type)
-    return _head(robots, 16, 0) + robots * most if variable.kind == "allread" else most
+    return array_head(robots, 16, 0) + robots * most if variable.kind == "allread" else most
 
 
 def _with(shared: tuple[Shared, ...], changed: Shared) -> tuple[Shared, ...]:
@@ -283,22 +287,22 @@ def most_bytes(type_: Type) -> int:
         case Scalar():
             return FIXED[type_]
         case Sized("string", capacity):
-            return _head(capacity, 32, 256) + capacity
+            return array_head(capacity, 32, 256) + capacity
         case Sized("GridMap", capacity):
             packed = (capacity + 3) // 4  # two bits a cell
-            return 1 + 5 * NUMBER + _head(packed, 0, 256) + packed
+            return 1 + 5 * NUMBER + array_head(packed, 0, 256) + packed
         case Sized(_, capacity):
-            return 1 + 2 * (_head(capacity, 16, 0) + NUMBER * capacity) + NUMBER
+            return 1 + 2 * (array_head(capacity, 16, 0) + NUMBER * capacity) + NUMBER
         case Sequence(_, element, capacity):
-            return _head(capacity, 16, 0) + capacity * most_bytes(element)
+            return array_head(capacity, 16, 0) + capacity * most_bytes(element)
         case MapOf(key, value, capacity):
-            return _head(capacity, 16, 0) + capacity * most_bytes(TupleOf((key, value)))
+            return array_head(capacity, 16, 0) + capacity * most_bytes(TupleOf((key, value)))
         case TupleOf(items):
-            return _head(len(items), 16, 0) + sum(map(most_bytes, items))
+            return array_head(len(items), 16, 0) + sum(map(most_bytes, items))
         case RecordType(_, fields):
             return most_bytes(TupleOf(tuple([field for _, field in fields])))
         case ExternType():
-            return 1 + _head(EXTERN_BYTES, 0, 256) + EXTERN_BYTES
+            return 1 + array_head(EXTERN_BYTES, 0, 256) + EXTERN_BYTES
         case PerRobot(element):
             raise AssertionError(f"a variable of type {element}[N_SYS]")
         case _:
@@ -314,13 +318,14 @@ def overhead(robots: int) -> int:
     return echoes + max(152 + robots, 141 + 5 * robots + (2 if robots >= 16 else 0))
 
 
-def _head(count: int, shortest: int, short: int) -> int:
+def array_head(count: int, shortest: int, short: int) -> int:
+    """Return the bytes before `count` elements or bytes; fewer than `shortest` need one, fewer than `short` two."""
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 
 def _entry(shared: tuple[Shared, ...]) -> int:
     """Return the most bytes of a log entry that writes these variables."""
-    return _ENTRY + sum(_WRITE + most_bytes(v.type) for v in shared)
+    return ENTRY + sum(WRITE + most_bytes(v.type) for v in shared)
 
 
 def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:

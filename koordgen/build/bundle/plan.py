@@ -58,15 +58,15 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     agents = {t.name: t for t in these.targets if t.kind == "agent"}
     harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
     if these.fleet is None:
-        built = {t.name: _finished(_agent(these, t, text, None)) for t in agents.values() if t.name in wanted}
+        built = {t.name: finished(_agent(these, t, text, None)) for t in agents.values() if t.name in wanted}
         bundles = dict(built)
     else:
         parts = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
-        facts: Files = {"fleet.json": _json(_facts(these.program, these.fleet, _functions(these)))}
-        release = {RELEASE: _release(parts)}
-        built = {name: _finished(files | release) for name, files in parts.items()}
+        facts: Files = {"fleet.json": as_json(_facts(these.program, these.fleet, _functions(these)))}
+        release = {RELEASE: release_of(parts)}
+        built = {name: finished(files | release) for name, files in parts.items()}
         bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
-        bundles["fleet"] = _finished(facts | release)
+        bundles["fleet"] = finished(facts | release)
     for harness in harnesses:
         bundles[harness.name] = _harness(these, harness, text, built)
     return bundles
@@ -86,27 +86,30 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: FleetRobot | 
         "version": __version__,
         "program_hash": program_hash(program, _functions(these)),
         "interface_hash": interface_hash(program),
+        "applications": (),
     }
+    main = render(
+        "main_agent.py", module=module, name=name, drivers=_drivers(these), properties=has_properties(program),
+        applications=(),
+    )  # fmt: skip
     files = {
         **these.common,
         **these.target_files[target.name],
         **these.beside,
-        "__main__.py": render(
-            "main_agent.py", module=module, name=name, drivers=_drivers(these), properties=has_properties(program)
-        ).encode(),
+        "__main__.py": main.encode(),
         "program.py": text,
         **_properties(these),
         program.path: these.source,
-        PARAMS: _json(dict(these.params)),
-        "requirements.txt": _requirements(fleet, target),
+        PARAMS: as_json(dict(these.params)),
+        "requirements.txt": requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
     }
     if robot is not None and fleet is not None:
-        files["settings.json"] = _json(settings(program, fleet, robot))
+        files["settings.json"] = as_json(settings(program, fleet, robot))
     return files
 
 
-def _release(parts: Mapping[str, Files]) -> bytes:
+def release_of(parts: Mapping[str, Files]) -> bytes:
     """Return the name of the release: a digest of the files of all robots, even of those that are not built now.
 
     Robots have equal names exactly if they come from the same program, fleet file, params and version.
@@ -148,9 +151,9 @@ def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, 
         "program.py": text,
         **_properties(these),
         f"{SOURCE}/{program.path}": these.source,
-        f"{SOURCE}/{PARAMS}": _json(dict(these.params)),
+        f"{SOURCE}/{PARAMS}": as_json(dict(these.params)),
         **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},
-        "requirements.txt": _requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
+        "requirements.txt": requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
         "README.md": render(
             "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
             version=__version__, robots=robots,
@@ -159,15 +162,15 @@ def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, 
     for agent, contents in agents.items():
         files.update({f"agents/{agent}/{path}": data for path, data in contents.items()})
     if fleet is not None:
-        files["scenario.json"] = _json(_scenario(these, fleet, target))
-    return _finished(files)
+        files["scenario.json"] = as_json(_scenario(these, fleet, target))
+    return finished(files)
 
 
-def _finished(files: Files) -> Files:
+def finished(files: Files) -> Files:
     return {**files, SUMS: sums(files)}
 
 
-def _requirements(fleet: Fleet | None, *targets: Target) -> bytes:
+def requirements(fleet: Fleet | None, *targets: Target) -> bytes:
     """Return `requirements.txt`. `fleet`: the fleet whose network the robots use; None in a simulator (loopback)."""
     lines = dict.fromkeys(line for target in targets for line in target.requirements)
     if fleet is not None and fleet.network["transport"] == "zenoh":
@@ -175,16 +178,20 @@ def _requirements(fleet: Fleet | None, *targets: Target) -> bytes:
     return "".join(f"{line}\n" for line in lines).encode()
 
 
-def _json(value: Any) -> bytes:
+def as_json(value: Any) -> bytes:
     return (json.dumps(value, indent=2) + "\n").encode()
 
 
 def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, Any]:
-    """Return the values that all robots of the fleet have in common."""
+    return facts_of(program.name, (program_hash(program, functions), interface_hash(program)), fleet)
+
+
+def facts_of(app: str, hashes: tuple[str, str], fleet: Fleet) -> dict[str, Any]:
+    """Return the values that all robots of the fleet have in common. `hashes`: of the program, of the interface."""
     return {
-        "app": program.name,
-        "program_hash": program_hash(program, functions),
-        "interface_hash": interface_hash(program),
+        "app": app,
+        "program_hash": hashes[0],
+        "interface_hash": hashes[1],
         "application_id": fleet.application_id,
         "delta": fleet.delta,
         "origin": fleet.origin,
@@ -195,8 +202,17 @@ def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, 
 
 
 def settings(program: Program, fleet: Fleet, robot: FleetRobot) -> dict[str, Any]:
-    """Return the content of one robot's `settings.json`, which koordgen/runtime/config/settings.py reads."""
-    facts = _facts(program, fleet)
+    """Return the content of the `settings.json` of a robot that runs a program."""
+    budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
+    return settings_of(program.name, fleet, robot, budget)
+
+
+def settings_of(app: str, fleet: Fleet, robot: FleetRobot, budget: float) -> dict[str, Any]:
+    """Return the content of one robot's `settings.json`, which koordgen/runtime/config/settings.py reads.
+
+    `app`: name of the program or of all applications. `budget`: seconds that a call of a port may take.
+    """
+    facts = facts_of(app, ("", ""), fleet)
     shared = {k: facts[k] for k in ("app", "application_id", "delta", "origin", "geofence", "obstacles", "peers")}
     return {
         "robot": robot.name,
@@ -206,7 +222,7 @@ def settings(program: Program, fleet: Fleet, robot: FleetRobot) -> dict[str, Any
         "insecure": fleet.insecure,
         "network": fleet.network,
         "control": robot.control,
-        "planner_budget": planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget),
+        "planner_budget": budget,
         "safety": fleet.safety,
         "monitors": fleet.monitors,
         "avoid": fleet.avoid,

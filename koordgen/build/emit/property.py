@@ -45,11 +45,11 @@ def has_properties(program: ir.Program) -> bool:
     return bool(program.properties) or any(m.assumptions for m in program.modules)
 
 
-def properties_text(program: ir.Program, driven: Collection[str] = ()) -> str:
+def properties_text(program: ir.Program, driven: Collection[str] = (), module: str = "program") -> str:
     """Return the text of the generated module.
 
-    `driven`: modules that the user's drivers serve. The text is compiled once as a check: a SyntaxError is a bug of
-    this compiler.
+    `driven`: modules that the user's drivers serve. `module`: name of the module with the generated program. The text
+    is compiled once as a check: a SyntaxError is a bug of this compiler.
     """
     names = _Names(program)
     page = Page()
@@ -77,7 +77,7 @@ def properties_text(program: ir.Program, driven: Collection[str] = ()) -> str:
     add_table(page, "unchecked", left)
     page.add(joined("measured=", _display(_measured(program, driven)), ","), STEP)
     page.add(")")
-    found = text(_head(program, names), page)
+    found = text(_head(program, names, module), page)
     compile(found, "properties.py", "exec")
     return found
 
@@ -249,7 +249,7 @@ def _add_step(page: Page, program: ir.Program, names: Names) -> None:
         add_callable(page, names.ports[m.name, p.name], annotation(p.type, names), name, "answer", names)
 
 
-def _head(program: ir.Program, names: Names) -> Page:
+def _head(program: ir.Program, names: Names, module: str) -> Page:
     own = {*names.params.values(), *names.records.values(), *names.functions.values(), *names.externs.values()}
     own |= {"PROGRAM", *names.extern_types.values()}
     page = Page()
@@ -257,6 +257,6 @@ def _head(program: ir.Program, names: Names) -> Page:
     page.gap(1)
     page.add("The next build overwrites this file: change the Koord program instead.")
     page.add('"""')
-    add_imports(page, [*library.imports(names.used), library.imported("program", sorted(own & names.used))])
+    add_imports(page, [*library.imports(names.used), library.imported(module, sorted(own & names.used))])
     add_notes(page, names, _NOTES)
     return page

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
+from koordgen.build.emit.expr import literal
 from koordgen.build.emit.program import WIRE_FORMAT, digest, interface_hash, program_hash
 from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.encoding import encode
@@ -69,7 +70,8 @@ def applications_text(
 ) -> str:
     """Return the text of `applications.py`, which defines FLEET.
 
-    shares: name of an application -> weight by which it shares the time for events; 1.0 if it is not named.
+    shares: name of an application -> part of the time for events that it may use. An application that is not named
+        shares the rest equally with others.
     """
     names = "FleetApplication, FleetProgram, ImportBinding"
     if not any(application.program.imports for application in system.applications):
@@ -79,7 +81,7 @@ def applications_text(
     lines += [f"import program_{module_of(application)}" for application in system.applications]
     lines += ["", "FLEET = FleetProgram(", "    applications=("]
     for index, application in enumerate(system.applications):
-        lines += _application(system, index, shares.get(application.name, 1.0))
+        lines += _application(system, index, shares.get(application.name))
     lines += [
         "    ),",
         f"    robots={system.robots},",
@@ -91,19 +93,24 @@ def applications_text(
     return "\n".join(lines)
 
 
-def _application(system: System, index: int, share: float) -> list[str]:
+def _application(system: System, index: int, share: float | None) -> list[str]:
     application, locks = system.applications[index], system.locks()
     own = tuple([locks[index, lock] for lock in range(len(application.program.locks))])
     lines = [
         "        FleetApplication(",
-        f"            name={application.name!r},",
+        f"            name={literal(application.name)},",
         f"            program=program_{module_of(application)}.PROGRAM,",
         f"            members={application.members},",
     ]
     if application.program.imports:
         lines.append("            imports=(")
         for each in application.program.imports:
-            exporter = system.exporter(index, each)
-            lines.append(f"                ImportBinding({each.name!r}, {exporter}, {each.variables}, {each.written}),")
+            bound = [str(system.exporter(index, each)), _tuple(each.variables), _tuple(each.written)]
+            lines.append(f"                ImportBinding({', '.join([literal(each.name), *bound])}),")
         lines.append("            ),")
     return [*lines, f"            locks={own},", f"            share={share},", "        ),"]
+
+
+def _tuple(names: Sequence[str]) -> str:
+    """Return a tuple of texts as Python."""
+    return f"({', '.join(literal(name) for name in names)}{',' if len(names) == 1 else ''})"

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from koordgen.runtime.agent.checkpoint import CheckpointStore
@@ -90,7 +90,6 @@ class Agent:
         driven = modules_of_drivers(platform)
         numbers = self._fleet.of_robot(settings.pid)
         self._instances = tuple([AgentInstance.of(self._fleet, i, clock, limit, driven) for i in numbers])
-        self._programs = tuple([instance.runner.program for instance in self._instances])
         self.monitors = RobotMonitors(self._fleet, properties, settings, self._journal.monitor, limit, cpu)
         self._journal.watch(self.monitors.hear)
         self._stalls = Stalls(self._journal.stall)
@@ -98,7 +97,8 @@ class Agent:
             own, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
         )
         self._joining = Joining(self._link, self._layout, self._names)
-        self._persistence = Persistence(store, self._programs, len(self._names))
+        programs = [instance.runner.program for instance in self._instances]
+        self._persistence = Persistence(store, programs, len(self._names))
         if self._persistence.interrupted:
             self._joining.come_back(self._persistence.interrupted)
         fence, budget = settings.geofence, settings.planner_budget
@@ -108,14 +108,21 @@ class Agent:
         )  # fmt: skip
         self._positions = tuple(p.name for p in own.ports if p.is_position)
         self._guard = SafetyGuard(settings.safety, settings.geofence, self._positions)
+        self._kinds = {variable.name: variable.kind for variable in own.shared}
+        self._journal.recent.stored = self._fleet.names()
+        trace.header(self._fleet, settings.robot, settings.pid, len(self._names), settings.delta)
+        self._reset()
+
+    def _reset(self) -> None:
+        """Set the state of an agent that has not started."""
         self._unready: str | None = None  # reason why the vehicle does not allow an event
         self._rounds: Rounds | None = None
         self._driver: Driver | None = None
         self._view = -1
-        self._kinds = {variable.name: variable.kind for variable in own.shared}
         self._next_body = 0.0
         self._missed = self._failures = 0
         self._init: tuple[Life, ...] | None = None
+        self._watched: list[tuple[Callable[[Any], None], AgentInstance]] = []  # instances whose monitors need rounds
         self._stop_began = 0.0
         self._served = 0.0  # time of the platform's last successful `poll`
         self._asked_to_end = False
@@ -123,8 +130,6 @@ class Agent:
         self.phase = ""
         self.status = OK
         self.done = False
-        self._journal.recent.stored = self._fleet.names()
-        trace.header(self._fleet, settings.robot, settings.pid, len(self._names), settings.delta)
 
     @property
     def round(self) -> int:
@@ -427,6 +432,8 @@ class Agent:
         )  # fmt: skip
         for instance, wanted in zip(self._instances, self.monitors.wanted, strict=True):
             instance.watched = wanted
+        looks = zip(self.monitors.looks, self._instances, strict=True)
+        self._watched = [(look, instance) for look, instance in looks if instance.watched]
         self._enter("running", f"mission {epoch.hex()}, round 1 at {start:.3f} s of fleet time")
         if self._rounds.is_vehicle_stopped:
             self._body.hold(STOPPED, True, now)
@@ -479,9 +486,9 @@ class Agent:
 
     def _monitor(self, rounds: Rounds, now: float) -> None:
         """Evaluate the monitors, and hold or stop the robot if their verdict demands it."""
-        for place, instance in enumerate(self._instances):
+        for look, instance in self._watched:
             if instance.observation is not None:
-                self._journal.attempt(self.monitors.looks[place], instance.observation)
+                self._journal.attempt(look, instance.observation)
         verdict = self.monitors.verdict
         self._body.hold("monitor", verdict.action == "hold", now)
         if verdict.action == "stop" and self.phase == "running":

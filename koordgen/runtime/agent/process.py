@@ -101,20 +101,14 @@ def main(
         if arguments.status:
             return _status(settings, key, arguments.format)
         fleet = fleet_program(program, settings)
-        Layout.of(fleet)
-        for own in programs_of(fleet, settings.pid):
-            wrong = wrong_first_value(own)
-            if wrong is not None:
-                return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
-            if own.library is not None:
-                own.library.load()  # importing now, because it may take longer than a round
+        wrong = _load(fleet, settings.pid)
+        if wrong is not None:
+            return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
         if reason := inbox.accelerator():  # compiles now if needed, which may take longer than a round
             _print_message("warning", f"{inbox.PYTHON_COSTS}: {reason}")
         platform = platform_type(settings, key)
         platform = with_drivers(platform, fleet.of(settings.pid), drivers)
-        given = properties if isinstance(properties, Mapping) else {fleet.applications[0].name: properties}
-        watched = {a.name: given.get(a.name) or without_properties(a.program) for a in fleet.applications}
-        return _run(fleet, settings, key, platform, root, watched, quiet=arguments.quiet)
+        return _run(fleet, settings, key, platform, root, _watched(fleet, properties), quiet=arguments.quiet)
     except (BadSettings, BadKey, TooLarge, BadExtern) as error:
         return _fail(str(error), "", WRONG_PROGRAM)
     except CannotOpen as error:
@@ -128,6 +122,26 @@ def main(
     finally:
         if platform is not None:
             platform.close()
+
+
+def _load(fleet: FleetProgram, robot: int) -> str | None:
+    """Check the programs of a robot, and import their functions now, because that may take longer than a round.
+
+    Return a message about a wrong first value; None if all are right. Raises TooLarge and BadExtern."""
+    Layout.of(fleet)
+    for program in programs_of(fleet, robot):
+        wrong = wrong_first_value(program)
+        if wrong is not None:
+            return wrong
+        if program.library is not None:
+            program.library.load()
+    return None
+
+
+def _watched(fleet: FleetProgram, found: Mapping[str, Properties] | Properties | None) -> dict[str, Properties]:
+    """Return the properties of each application by its name. `found`: see `main`."""
+    given = found if isinstance(found, Mapping) else {fleet.applications[0].name: found}
+    return {a.name: given.get(a.name) or without_properties(a.program) for a in fleet.applications}
 
 
 def _print_results(program: Program | FleetProgram, results: Iterator[Finding], arguments: argparse.Namespace) -> int:

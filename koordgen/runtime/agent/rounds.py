@@ -58,8 +58,11 @@ class _Present:
 
 @dataclass(slots=True)
 class _Run:
-    """Event of one instance in the present round. `life`: its private state after an event with effects."""
+    """Event of instance number `place` of the robot in the present round.
 
+    life: the instance's private state after an event with effects."""
+
+    place: int
     instance: AgentInstance
     frame: Frame
     result: EventResult
@@ -112,7 +115,7 @@ class Rounds:
         self._handled = 0  # last applied round whose outputs were handled and whose application was reported
         self._store_changes = self._replica.store_changes
         self._view = self._replica.views.view.number  # number of the latest view in which this robot has sent a report
-        self.stopped = all(i.stopped for i in self._instances)
+        self._note_stopped()  # sets `stopped`
         self.counters = RoundCounters()
         self.reason: str | None = None  # reason why no event ran in the last closed round; None if an event ran
 
@@ -238,7 +241,7 @@ class Rounds:
         same = self._store_changes == self._replica.store_changes and state.view.number == self._view
         if not same or state.applied != self._handled:
             return False
-        for outputs in self._outputs:  # a loop, because `all` costs twice as much
+        for outputs in self._outputs:  # noqa: SIM110 (`all` costs twice as much)
             if outputs.can_settle(state):
                 return False
         return True
@@ -274,7 +277,7 @@ class Rounds:
             actuators.update(life.actuators)
             records += found
         self._note_awaited()
-        self.stopped = all(i.stopped for i in self._instances)
+        self._note_stopped()
         self._body.restore(actuators, now)
         self._body.hold(STOPPED, self.is_vehicle_stopped, now)
         for record in sorted(records, key=_round_of):
@@ -294,25 +297,27 @@ class Rounds:
         """Carry out the outputs of committed events, and handle transactions whose result is known."""
         state = self._replica.state
         assert state is not None
-        lost = False
+        lost = is_changed = False
         records: list[tuple[AgentInstance, RoundRecord]] = []
         for instance in self._instances:
             outputs = instance.outputs
+            if not outputs.can_settle(state):
+                continue
+            is_changed = True
             won = outputs.decide(state)
             if won:
                 instance.runner.locals = outputs.life.locals
                 instance.stopped = instance.stopped or outputs.life.stopped
-                self.stopped = all(i.stopped for i in self._instances)
+                self._note_stopped()
             elif won is False:
                 lost = True
                 self.counters.lost_contention += 1
                 instance.count("lost_contention")
-            for record in outputs.ready(state):
-                records.append((instance, record))
+            records += [(instance, record) for record in outputs.ready(state)]
         if lost:
             # The checkpoint holds few private states. Overwrite the state after the lost transaction, so that repeated
             # losses never push a valid state out of the checkpoint.
-            self._driver.persist_private((self._lives(), state.view.members[self._pid]))
+            self._driver.persist_private(([outputs.life for outputs in self._outputs], state.view.members[self._pid]))
         if len(records) > 1 and len(self._outputs) > 1:
             records.sort(key=_round_of_pair)
         for instance, record in records:
@@ -322,13 +327,10 @@ class Rounds:
                 if instance.drives:
                     self._body.hold(STOPPED, effects.stopped or self.is_vehicle_stopped, now)
             self._observe(record)
-        self._note_awaited()
+        if is_changed:
+            self._note_awaited()
         if self._awaited is None:
             self._body.hold(NOT_CONFIRMED, False, now)
-
-    def _lives(self) -> tuple[Life, ...]:
-        """Return the latest private state of each instance."""
-        return tuple([i.outputs.life for i in self._instances])
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
         """Run events, or close the round without an event, or keep the round open for missing entries.
@@ -384,25 +386,30 @@ class Rounds:
 
         The instances divide the time up to the publish deadline by their shares. Time that one leaves goes to the next
         ones. The first place rotates with the round, so that no instance always comes last."""
-        state, body, count = self._replica.state, self._body, len(self._instances)
+        state, body, instances = self._replica.state, self._body, self._instances
         assert state is not None
         body.others(state.shared)
-        deadline = self._local_time_at(PUBLISH)
-        places = [(self.round + k) % count for k in range(count)] if count > 1 else [0]
-        waiting = [self._instances[place] for place in places if hindrances[place] is None]
+        count, deadline = len(instances), self._local_time_at(PUBLISH)
+        first = self.round % count
+        waiting = [i for i in (*range(first, count), *range(first)) if hindrances[i] is None] if count > 1 else [0]
         runs: list[_Run] = []
-        for index, instance in enumerate(waiting):
-            until = deadline
+        is_faulty = False
+        for index, place in enumerate(waiting):
+            instance, until = instances[place], deadline
             if index + 1 < len(waiting):
                 began = instance.now()
-                until = began + (deadline - began) * instance.share / sum([i.share for i in waiting[index:]])
+                shares = [instances[p].share for p in waiting[index:]]
+                until = began + (deadline - began) * shares[0] / sum(shares)
             frame = instance.frame(state.shared, sensors, body.actuators, body.call)
             result = instance.runner.step(frame, until)
             instance.is_faulty = result.fault is not None
-            runs.append(_Run(instance, frame, result, body.calls()))
+            runs.append(_Run(place, instance, frame, result, body.calls()))
         if count > 1:
-            runs.sort(key=_number_of)
-        body.hold(FAULT, any(i.is_faulty for i in self._instances if i.drives), now)
+            runs.sort(key=_place_of)
+        for instance in instances:
+            if instance.is_faulty and instance.drives:
+                is_faulty = True
+        body.hold(FAULT, is_faulty, now)
         return runs
 
     def _observation(
@@ -453,35 +460,44 @@ class Rounds:
         state, body = self._replica.state, self._body
         self._present.open = False
         private = None
+        awaits_commit = False
         acted = [run for run in runs if run.result.effects is not None]
         if acted:
             assert state is not None
-            lives = list(self._lives())
+            lives = [outputs.life for outputs in self._outputs]
             for run in acted:
                 instance, effects = run.instance, run.result.effects
                 assert effects is not None
-                life = run.life = instance.life(self.round, effects, body.actuators)
-                lives[self._instances.index(instance)] = life
+                life = run.life = lives[run.place] = instance.life(self.round, effects, body.actuators)
+                awaits_commit = awaits_commit or has_outputs(effects)
                 if run.result.lock < 0:
                     instance.runner.locals, instance.stopped = life.locals, life.stopped
-            self.stopped = all(i.stopped for i in self._instances)
-            private = tuple(lives), state.view.members[self._pid]
+            self._note_stopped()
+            private = lives, state.view.members[self._pid]
         self.counters.out += state is None
-        awaits_commit = any(has_outputs(run.result.effects) for run in acted)
         stopped = self.stopped or self._left
         if len(self._instances) > 1:
-            parts = [_event(self._instances.index(run.instance), run) for run in acted]
             self._replica.propose(
-                self.round, {}, stopped=stopped, awaits_commit=awaits_commit, private=private, parts=parts
-            )
-        else:
-            effects = acted[0].result.effects if acted else None
-            stopped = stopped or (effects is not None and effects.stopped)
-            self._replica.propose(
-                self.round, effects.shared if effects else {}, stopped=stopped, acted=effects is not None,
-                awaits_commit=awaits_commit, lock=acted[0].result.lock if acted else -1, private=private,
+                self.round, {}, stopped=stopped, awaits_commit=awaits_commit, private=private,
+                parts=[_event(run) for run in acted],
             )  # fmt: skip
+        elif acted:
+            result, effects = acted[0].result, acted[0].result.effects
+            assert effects is not None
+            self._replica.propose(
+                self.round, effects.shared, stopped=stopped or effects.stopped, acted=True,
+                awaits_commit=awaits_commit, lock=result.lock, private=private,
+            )  # fmt: skip
+        else:
+            self._replica.propose(self.round, {}, stopped=stopped)
         self._driver.run()
+
+    def _note_stopped(self) -> None:
+        """Update `stopped`: the robot has stopped when all its instances have."""
+        self.stopped = True
+        for instance in self._instances:
+            if not instance.stopped:
+                self.stopped = False
 
     def _record(
         self,
@@ -544,14 +560,14 @@ class Rounds:
         return self._local_time_at(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))
 
 
-def _event(place: int, run: _Run) -> InstanceEvent:
+def _event(run: _Run) -> InstanceEvent:
     effects, life = run.result.effects, run.life
     assert effects is not None and life is not None
-    return InstanceEvent(place, effects.shared, life.stopped, run.result.lock)
+    return InstanceEvent(run.place, effects.shared, life.stopped, run.result.lock)
 
 
-def _number_of(run: _Run) -> int:
-    return run.instance.number
+def _place_of(run: _Run) -> int:
+    return run.place
 
 
 def _round_of(record: RoundRecord) -> int:

@@ -48,8 +48,11 @@ class RobotMonitors:
             application = fleet.applications[instance.application]
             own = found.get(application.name) if isinstance(found, Mapping) else found
             peers = tuple([settings.peers[robot] for robot in application.members])
-            seen = replace(settings, pid=instance.pid, peers=peers) if fleet.is_composed else settings
-            name = application.name if fleet.is_composed else ""
+            seen, name = settings, ""
+            if fleet.is_composed:
+                name = application.name
+                actions = {k.removeprefix(f"{name}."): v for k, v in settings.monitors.items() if _is_of(k, name)}
+                seen = replace(settings, pid=instance.pid, peers=peers, monitors=actions)
             monitors = Monitors(own, seen, partial(report, application=name), limit, cpu)
             self._all.append(monitors)
             self._by_name[name] = monitors
@@ -63,6 +66,8 @@ class RobotMonitors:
     @property
     def verdict(self) -> SafetyVerdict:
         """Reaction that violated properties require; a safe stop goes before a hold."""
+        if len(self._all) == 1:
+            return self._all[0].verdict
         found = GO
         for monitors in self._all:
             verdict = monitors.verdict
@@ -96,3 +101,8 @@ class RobotMonitors:
         found = [(name, *monitors.summary()) for name, monitors in self._by_name.items()]
         texts = [f"{name}: {text}" if name else text for name, _, text in found if text]
         return any(broken for _, broken, _ in found), "; ".join(texts)
+
+
+def _is_of(key: str, application: str) -> bool:
+    """Return whether a key of the settings `monitors` is about an application: `NAME.property`, or `default`."""
+    return key == "default" or key.startswith(f"{application}.")

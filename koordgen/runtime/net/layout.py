@@ -22,7 +22,7 @@ from koordgen.runtime.net.wire import (
     EntryPart,
     Write,
 )
-from koordgen.runtime.program.fleet_program import Access, FleetProgram, alone
+from koordgen.runtime.program.fleet_program import FleetProgram, StoreAccess, alone
 from koordgen.runtime.program.program import Variable
 from koordgen.runtime.values.bounds import Text
 from koordgen.runtime.values.points import transmissible
@@ -63,7 +63,7 @@ class Author:
 
     __slots__ = ("allowed", "application", "indices", "locks", "number", "pid")
 
-    def __init__(self, number: int, application: int, pid: int, access: Access, variables: int) -> None:
+    def __init__(self, number: int, application: int, pid: int, access: StoreAccess, variables: int) -> None:
         self.number, self.application, self.pid = number, application, pid
         self.indices = access.indices
         self.locks = access.locks
@@ -100,7 +100,7 @@ class Layout:
     instances: number of all instances.
     """
 
-    def __init__(self, shared: Sequence[Variable], n_sys: int, access: Sequence[Access] = ()) -> None:
+    def __init__(self, shared: Sequence[Variable], n_sys: int, access: Sequence[StoreAccess] = ()) -> None:
         self.n_sys = n_sys
         self.names = tuple(v.name for v in shared)
         self.is_slots = tuple(v.kind == "allread" for v in shared)
@@ -320,7 +320,7 @@ class Layout:
         return known[1]
 
 
-def _authors(access: Sequence[Access], robots: int, variables: int) -> tuple[Sequence[Sequence[Author]], int]:
+def _authors(access: Sequence[StoreAccess], robots: int, variables: int) -> tuple[Sequence[Sequence[Author]], int]:
     """Return the instances of each robot by their numbers, and the number of all instances."""
     found: list[list[Author]] = [[] for _ in range(robots)]
     number = 0

@@ -38,7 +38,8 @@ class FleetApplication:
     members: robots that run the program, ascending; a robot's pid in this application is its index here.
     locks: for each lock of the program, the lock of the fleet that protects the same variables. A lock of the fleet
         protects variables that occur in one atomic event of some application.
-    share: weight by which the applications of a robot divide the time for their events.
+    share: part of a robot's time for events that this application may use; None: it divides the rest equally with
+        others. If the shares on a robot do not add up to 1, they are scaled.
     """
 
     name: str
@@ -46,7 +47,7 @@ class FleetApplication:
     members: tuple[int, ...]
     imports: tuple[ImportBinding, ...] = ()
     locks: tuple[int, ...] = ()
-    share: float = 1.0
+    share: float | None = None
 
     @property
     def own(self) -> tuple[Variable, ...]:
@@ -66,7 +67,7 @@ class RobotInstance:
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
+class StoreAccess:
     """Variables and locks of the shared store that one application may use.
 
     members: robots that run the application. An allread variable has a slot for each of them.
@@ -107,7 +108,7 @@ class FleetProgram:
 
     @property
     def is_composed(self) -> bool:
-        """True if there are several applications, so that names must tell them apart."""
+        """True if there are several applications, so that names have to distinguish them."""
         return len(self.applications) > 1
 
     @cached_property
@@ -123,6 +124,13 @@ class FleetProgram:
     def of_robot(self, robot: int) -> tuple[RobotInstance, ...]:
         """Return the instances of a robot by their numbers."""
         return tuple([instance for instance in self.instances if instance.robot == robot])
+
+    def share(self, instance: RobotInstance) -> float:
+        """Return the weight of an instance when its robot divides the time for events."""
+        shares = [self.applications[each.application].share for each in self.of_robot(instance.robot)]
+        rest = max(0.01, 1.0 - sum([share for share in shares if share is not None]))
+        own = self.applications[instance.application].share
+        return rest / shares.count(None) if own is None else own
 
     def stored(self, application: int, variable: str) -> str:
         """Return the name in the store of a variable that the program of `application` calls `variable`."""
@@ -166,14 +174,14 @@ class FleetProgram:
             ]
         )
 
-    def access(self) -> tuple[Access, ...]:
+    def access(self) -> tuple[StoreAccess, ...]:
         """Return for each application what it may write."""
         places = {v.name: place for place, v in enumerate(self.shared())}
         found = []
         for index, application in enumerate(self.applications):
             written = [v.name for v in application.own] + [n for each in application.imports for n in each.written]
             indices = {name: places[self.stored(index, name)] for name in written}
-            found.append(Access(application.members, len(application.own), indices, frozenset(application.locks)))
+            found.append(StoreAccess(application.members, len(application.own), indices, frozenset(application.locks)))
         return tuple(found)
 
     def constants(self, instance: RobotInstance) -> dict[str, Any]:
@@ -214,6 +222,6 @@ class FleetProgram:
         )
 
 
-def alone(shared: Sequence[Variable], robots: int) -> tuple[Access, ...]:
+def alone(shared: Sequence[Variable], robots: int) -> tuple[StoreAccess, ...]:
     """Return the access of one application on all robots that declares these variables and may want any lock."""
-    return (Access(tuple(range(robots)), len(shared), {v.name: place for place, v in enumerate(shared)}),)
+    return (StoreAccess(tuple(range(robots)), len(shared), {v.name: place for place, v in enumerate(shared)}),)

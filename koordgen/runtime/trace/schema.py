@@ -110,13 +110,13 @@ class RobotHeader(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """First record of each part of a robot's own trace."""
 
     format: str  # version of the trace: koord-trace/2
-    app: str  # name of the program
-    applications: tuple[str, ...]  # names of the applications in this trace; today only `app`
+    app: str  # name of the program; of several applications their names, joined by `+`
+    applications: tuple[str, ...]  # names of the applications in this trace, in the order of the fleet file
     robot: str  # name of the robot
     pid: int  # number of the robot, from 0
     n_sys: int  # number of robots in the fleet
     delta: float  # length of a round [s]
-    program_hash: str  # hash of the program: 16 hexadecimal digits
+    program_hash: str  # hash of the program, or of all applications: 16 hexadecimal digits
     part: int | UnsetType = UNSET  # number of this part of the trace, from 1, unless it is the first part
     followed: str | UnsetType = UNSET  # the run executed a counterexample, a "run" or a "step"
 
@@ -139,7 +139,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     shared: tuple[SharedVariable, ...] = ()  # shared variables of the program
     records: dict[str, tuple[tuple[str, str], ...]] = {}  # record types: name -> names and types of the fields
     followed: str = ""  # kind of the counterexample that the run executed: "run" or "step"; "": none
-    applications: tuple[str, ...] = ()  # names of the applications in this trace; today only `app`
+    applications: tuple[str, ...] = ()  # names of the applications in this trace, in the order of the fleet file
     counterexample: Literal["run", "step"] | UnsetType = UNSET  # of a counterexample: begins at initial or at any state
     params: Mapping[str, Any] | UnsetType = UNSET  # only of a counterexample: values of the program's params
     given: tuple[str, ...] | UnsetType = UNSET  # only of a counterexample: params whose values the user gave
@@ -205,7 +205,7 @@ class EventFault(msgspec.Struct, frozen=True):
 
 
 class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
-    """One round of a robot. The robot writes this record when the round is committed."""
+    """One round of an application on a robot. The robot writes this record when the round is committed."""
 
     round: RoundNumber  # number of the round, from 1; 0 only in a counterexample
     event: str | None = None  # event that ran or was discarded; null: no event

@@ -95,7 +95,7 @@ class Trace:
 
         application: the application whose `init` ran; "": the only one."""
         self._turn_if_full(time)
-        of = self._applications[application]
+        of = self._of(application)
         of.shared, of.life, of.last = {}, after, 0
         self._write(
             schema.InitRecord(
@@ -130,7 +130,7 @@ class Trace:
         """Write a line of an application's output in a round; round 0 is `init`.
 
         Line and round are in the same part of the trace."""
-        self._write(schema.StreamLine(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._name(application)))
+        self._write(schema.StreamLine(port, text, round_, time, LEFT_OUT, LEFT_OUT, self._of(application).name))
 
     def metrics(self, time: float, snapshot: Mapping[str, Any]) -> None:
         """Write a snapshot of the quality of the robot's links and rounds."""
@@ -140,12 +140,15 @@ class Trace:
         """Write a change of the verdict of an application's property."""
         record = schema.Monitor(
             change.of, change.name, change.line, change.outcome, change.age, change.why, change.action, change.round,
-            change.time, LEFT_OUT, LEFT_OUT, self._name(application),
+            change.time, LEFT_OUT, LEFT_OUT, self._of(application).name,
         )  # fmt: skip
         self._write_record(record, change.time)
 
-    def _name(self, application: str) -> str:
-        return self._applications[application].name if application in self._applications else application
+    def _of(self, application: str) -> _Recorded:
+        """Return what was recorded of an application. An application without a header has no name in the records."""
+        if application not in self._applications:
+            self._applications[application] = _Recorded("", -1, ())
+        return self._applications[application]
 
     def round(self, record: RoundRecord, clock_bound: float, counters: Mapping[str, int]) -> None:
         """Write one round of the robot.
@@ -155,7 +158,7 @@ class Trace:
         changes of the robot's copy of the shared variables since the last record; for an allread variable pid -> value.
         """
         self._turn_if_full(record.time)
-        of = self._applications[record.application]
+        of = self._of(record.application)
         fault, effects, restored = record.fault, record.effects, record.restored
         shared, actuators = (effects.shared, effects.actuators) if effects else ({}, {})
         violated, stopped = (effects.violated, effects.stopped) if effects else ((), False)

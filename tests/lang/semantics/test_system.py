@@ -118,9 +118,9 @@ def test_a_discarded_transaction_leaves_the_lock_to_another() -> None:
     text = "allwrite: int n\nlocal: int k\nAdd:\n  pre: True\n  eff: atomic:\n    n += 1 + 1 // (pid + k)\n"
     system = System((Application("only", compiled("only", text), (0, 1)),), 2)
     state = begun(system)
-    for round_ in range(1, 3):
+    for number in range(1, 3):
         state, steps = system_round(system, state)
-        assert state.stores[0].cells["n"] == 2 * round_, "instance 1 commits in each round"
+        assert state.stores[0].cells["n"] == 2 * number, "instance 1 commits in each round"
         assert {s.instance for s in steps if isinstance(s.step.outcome, Discarded)} == {0}
 
 

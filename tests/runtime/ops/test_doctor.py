@@ -147,7 +147,7 @@ def test_a_program_that_no_wire_can_carry(
     def too_large(*given: Any) -> None:
         raise TooLarge("xs is too large")
 
-    monkeypatch.setattr(doctor, "Layout", too_large)
+    monkeypatch.setattr(doctor.Layout, "of", too_large)
     done, found = examined(bundles[0], capsys)
     assert done == 1 and found["program"]["found"] == "xs is too large"
 

@@ -15,6 +15,7 @@ def root(context, missing=missing):
     l_0_summary = resolve('summary')
     l_0_pid = resolve('pid')
     l_0_key = resolve('key')
+    l_0_applications = resolve('applications')
     l_0_program_hash = resolve('program_hash')
     l_0_interface_hash = resolve('interface_hash')
     pass
@@ -47,9 +48,16 @@ def root(context, missing=missing):
     else:
         pass
         yield 'This bundle was built without a fleet file, so it has no `settings.json`: build with `--fleet FILE`, or run with `--settings FILE`.\n'
-    yield '`--settings FILE` replaces entries of the settings by those of another JSON file; `--pid N` runs as another robot of the fleet.\n\n| file | content |\n|---|---|\n| `program.py` | the generated program; a comment after each statement has its line in `'
-    yield str((undefined(name='source') if l_0_source is missing else l_0_source))
-    yield '` |\n| `koordgen/runtime/` | rounds, shared memory, safety: the same on every robot |\n| `targets/'
+    yield '`--settings FILE` replaces entries of the settings by those of another JSON file; `--pid N` runs as another robot of the fleet.\n\n| file | content |\n|---|---|\n'
+    if (undefined(name='applications') if l_0_applications is missing else l_0_applications):
+        pass
+        yield '| `program_NAME.py` | the generated program of an application; a comment after each statement has its line in the source, which is in `source/NAME/` |\n| `applications.py` | the applications of the fleet: on which robots they run, and to what their imports are bound |\n'
+    else:
+        pass
+        yield '| `program.py` | the generated program; a comment after each statement has its line in `'
+        yield str((undefined(name='source') if l_0_source is missing else l_0_source))
+        yield '` |\n'
+    yield '| `koordgen/runtime/` | rounds, shared memory, safety: the same on every robot |\n| `targets/'
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield "/` | code for this kind of robot |\n| `SHA256SUMS` | `sha256sum -c SHA256SUMS` checks that the folder is complete and unchanged |\n\nIf something goes wrong, look into the code in `koordgen/runtime/`. Each folder's `__init__.py` says what it owns.\n\n| question | file |\n|---|---|\n| geofence, stale position | `koordgen/runtime/vehicle/safety.py` |\n| why the robot holds; commands to its actuators | `koordgen/runtime/vehicle/interface.py` |\n| why a round was skipped, or an event discarded | `koordgen/runtime/agent/rounds.py`, `koordgen/runtime/program/runner.py` |\n| values of a program's extern functions; time budget of an event | `koordgen/runtime/program/extern.py`, `koordgen/runtime/program/runner.py` |\n| retransmission of lost datagrams | `koordgen/runtime/replication/retransmission.py` |\n| failure detector (dead-robot detection) | `koordgen/runtime/replication/failure_detector.py` |\n| view change; rejoin after a crash | `koordgen/runtime/replication/views.py`, `koordgen/runtime/replication/rejoin.py` |\n| dropped datagrams: authentication, replay, another release | `koordgen/runtime/net/link.py`, `koordgen/runtime/net/seal.py` |\n| emergency stop, `--status`, `--doctor` | `koordgen/runtime/ops/control.py`, `koordgen/runtime/ops/doctor.py` |\n| what survives a crash | `koordgen/runtime/agent/persistence.py`, `koordgen/runtime/agent/checkpoint.py` |\n| monitors of properties | `koordgen/runtime/monitor/monitor.py` |\n| trace, log lines | `koordgen/runtime/trace/writer.py`, `koordgen/runtime/ops/journal.py` |\n\nA running robot writes its state to `../state/`, to continue after a crash. Leave that folder there, and start the robot again: it\nrejoins the mission, which the others have continued. `koordgen estop FLEET` stops all robots, from any computer"
     if (undefined(name='key') if l_0_key is missing else l_0_key):
@@ -62,4 +70,4 @@ def root(context, missing=missing):
     yield '. Robots with different hashes refuse one another.\nKeep away from the robot as soon as you start it: a flying robot takes off at once, even if no other robot has started, and hovers.\nAll robots run the program as soon as the whole fleet has started.\n'
 
 blocks = {}
-debug_info = '1=22&3=26&21=34&22=37&23=44&32=51&34=53&55=55&58=59'
+debug_info = '1=23&3=27&21=35&22=38&23=45&32=52&36=58&39=61&60=63&63=67'

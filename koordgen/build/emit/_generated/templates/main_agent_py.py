@@ -7,15 +7,32 @@ def root(context, missing=missing):
     concat = environment.concat
     cond_expr_undefined = Undefined
     if 0: yield None
+    l_0_applications = resolve('applications')
     l_0_properties = resolve('properties')
     l_0_module = resolve('module')
     l_0_name = resolve('name')
     l_0_drivers = resolve('drivers')
     pass
-    yield '"""Start of this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.native import protocol\n\n        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported\n        from koordgen.runtime.agent.process import main\n        from program import PROGRAM\n'
-    if (undefined(name='properties') if l_0_properties is missing else l_0_properties):
+    yield '"""Start of this robot: `python3 <this folder>`, see README.md."""\n\nimport sys\nfrom pathlib import Path\n\nHERE = Path(__file__).resolve().parent\n\nif __name__ == "__main__":\n    if sys.version_info < (3, 10):\n        print(f"error: {sys.executable} is Python {sys.version.split()[0]}\\n"\n              "  help: install Python 3.10 or later, and start the bundle with it", file=sys.stderr)\n        raise SystemExit(5)\n    try:\n        from koordgen.runtime.native import protocol\n\n        protocol.use()  # the compiled modules, if `--compile` has made them: before any of them is imported\n        from koordgen.runtime.agent.process import main\n'
+    if (undefined(name='applications') if l_0_applications is missing else l_0_applications):
         pass
-        yield '        from properties import PROPERTIES\n'
+        yield '        from applications import FLEET\n'
+        l_1_loop = missing
+        for (l_1__, l_1_end), l_1_loop in LoopContext((undefined(name='properties') if l_0_properties is missing else l_0_properties), undefined):
+            _loop_vars = {}
+            pass
+            yield '        from properties_'
+            yield str(l_1_end)
+            yield ' import PROPERTIES as PROPERTIES_'
+            yield str(environment.getattr(l_1_loop, 'index'))
+            yield '\n'
+        l_1_loop = l_1__ = l_1_end = missing
+    else:
+        pass
+        yield '        from program import PROGRAM\n'
+        if (undefined(name='properties') if l_0_properties is missing else l_0_properties):
+            pass
+            yield '        from properties import PROPERTIES\n'
     yield '        from '
     yield str((undefined(name='module') if l_0_module is missing else l_0_module))
     yield ' import '
@@ -42,11 +59,28 @@ def root(context, missing=missing):
         yield str(l_1_served)
         yield '": Driver'
         yield str(environment.getattr(l_1_loop, 'index'))
-        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 30 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 37 in 'main_agent.py' evaluated to false and no else section was defined.")))
     l_1_loop = l_1_served = l_1__ = missing
-    yield '}\n    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers'
-    yield str((', PROPERTIES' if (undefined(name='properties') if l_0_properties is missing else l_0_properties) else cond_expr_undefined("the inline if-expression on line 31 in 'main_agent.py' evaluated to false and no else section was defined.")))
-    yield '))\n'
+    yield '}\n'
+    if (undefined(name='applications') if l_0_applications is missing else l_0_applications):
+        pass
+        yield '    properties = {'
+        l_1_loop = missing
+        for (l_1_application, l_1__), l_1_loop in LoopContext((undefined(name='properties') if l_0_properties is missing else l_0_properties), undefined):
+            _loop_vars = {}
+            pass
+            yield '"'
+            yield str(l_1_application)
+            yield '": PROPERTIES_'
+            yield str(environment.getattr(l_1_loop, 'index'))
+            yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 39 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        l_1_loop = l_1_application = l_1__ = missing
+        yield '}\n    raise SystemExit(main(FLEET, Body, HERE, sys.argv[1:], drivers, properties))\n'
+    else:
+        pass
+        yield '    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers'
+        yield str((', PROPERTIES' if (undefined(name='properties') if l_0_properties is missing else l_0_properties) else cond_expr_undefined("the inline if-expression on line 42 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        yield '))\n'
 
 blocks = {}
-debug_info = '19=16&22=20&23=25&24=29&30=38&31=48'
+debug_info = '18=17&20=21&21=25&25=33&29=37&30=42&31=46&37=55&38=65&39=69&42=82'

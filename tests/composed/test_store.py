@@ -11,7 +11,7 @@ import pytest
 from koordgen.runtime.net.codec import encoder
 from koordgen.runtime.net.layout import MOST_SHARED, Layout, TooLarge
 from koordgen.runtime.net.wire import Entry, EntryPart, Snapshot, View, Write
-from koordgen.runtime.program.fleet_program import Access, FleetApplication, FleetProgram, ImportBinding
+from koordgen.runtime.program.fleet_program import FleetApplication, FleetProgram, ImportBinding, StoreAccess
 from koordgen.runtime.program.program import Program, Transaction, Variable
 from koordgen.runtime.replication.state_machine import InstanceEvent, StateMachine
 from koordgen.runtime.values.bounds import Fixed, Text
@@ -238,7 +238,7 @@ def test_the_limits_count_all_applications() -> None:
     with pytest.raises(TooLarge, match=f"applications with {MOST_SHARED + 2} shared variables"):
         Layout.of(system(MOST_SHARED // 2 + 1, 1))
     with pytest.raises(TooLarge, match="run 1100 times"):
-        Layout((), 100, [Access(tuple(range(100)), 0, {}) for _ in range(11)])
+        Layout((), 100, [StoreAccess(tuple(range(100)), 0, {}) for _ in range(11)])
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -8,7 +8,7 @@ import pytest
 
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.runner import FAULT, LOST_CONTENTION, NO_EVENT, STOPPED
-from tests.agree.composed import ComposedAgents, observing
+from tests.composed.agents import ComposedAgents, observing
 from tests.lang.semantics.compositions import random_system
 
 ROUNDS = 20

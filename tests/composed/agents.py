@@ -14,6 +14,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import FakePlatform, Fleet
 from koordgen.build.emit.program import program_text
+from koordgen.build.emit.property import properties_text
 from koordgen.build.emit.system import applications_text, module_of, with_sizes
 from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.eval import Discarded
@@ -21,6 +22,7 @@ from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.system import InstanceStep, SystemState, initial_system, run_inits, system_round, view
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.property import Properties
 from koordgen.runtime.program.runner import FAULT, LOST_CONTENTION, NO_EVENT, STOPPED, name_of
 from koordgen.runtime.replication.log import Logged
 from koordgen.runtime.replication.state_machine import StateMachine
@@ -43,6 +45,18 @@ def fleet_program(system: System) -> FleetProgram:
     exec(compile(applications_text(sized), "applications.py", "exec"), scope)
     fleet: FleetProgram = scope["FLEET"]
     return fleet
+
+
+def properties_of(system: System) -> dict[str, Properties]:
+    """Return the generated properties of each application. Call `fleet_program` first, which loads the programs."""
+    found = {}
+    for application in with_sizes(system).applications:
+        module = f"program_{module_of(application)}"
+        name = f"properties_{module_of(application)}"
+        scope = vars(sys.modules.setdefault(name, ModuleType(name)))
+        exec(compile(properties_text(application.program, (), module), f"{name}.py", "exec"), scope)
+        found[application.name] = scope["PROPERTIES"]
+    return found
 
 
 class Applied(NamedTuple):
