@@ -46,7 +46,7 @@ def dump(command: Parser) -> None:
 
 def build(command: Parser) -> None:
     """Options of `koordgen build`."""
-    _program(command)
+    _program_or_fleet(command)
     wanted = command.add_argument_group("what to build")
     targets = "targets to build for, for example quad,car (default: those of the robots in the fleet file)"
     wanted.add_argument("--target", metavar="A,B", help=targets)
@@ -286,7 +286,7 @@ PASSED = ("duration", "seed", "live", "foxglove", "pace", *_NETWORK)
 
 def harness(command: Parser) -> None:
     """Options of a command that runs a harness's bundle."""
-    _program(command)
+    _program_or_fleet(command)
     run = command.add_argument_group("run")
     _fleet(run, "the fleet file (YAML) (default: one simulated robot)")
     _duration(run, "length of the mission from its first round, in seconds (default: 30)")
