@@ -360,7 +360,9 @@ def plan_fleet_file(
     for part, settings, application in zip(checked.parts, fleet.applications, system.applications, strict=True):
         own_targets = tuple(targets[name] for name in sorted({fleet.robots[r].target for r in settings.members}))
         path = part.source.path
-        own, missing = _beside(application.program, path, fleet_path, _own_drivers(application, fleet), own_targets, None)
+        own, missing = _beside(
+            application.program, path, fleet_path, _own_drivers(application, fleet), own_targets, None
+        )
         own |= _own_classes(path, fleet_path, fleet, targets)
         found += [(part.source, d) for d in missing]
         files = {name: file.read_bytes() for name, file in own.items()}

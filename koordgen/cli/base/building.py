@@ -47,7 +47,9 @@ def left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str
 def planned(
     options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
 ) -> tuple[dict[str, dict[str, bytes]], str]:
-    """Return the bundles and the name of the app, or of the fleet if its file names the programs. Raises Rejected, Failure.
+    """Return the bundles, and the name of the app, or of the fleet if its file names the programs.
+
+    Raises Rejected, Failure.
 
     `more`: values of params, replaced by those of the options --param. Warnings and notes are printed; for a command
     that prints one JSON document they are added to `options.collected` instead.
