@@ -337,12 +337,11 @@ def plan_fleet_file(
     """
     from pathlib import Path
 
-    from koordgen.build.bundle.plan import read_ingredients
     from koordgen.build.bundle.plan_system import (
         ApplicationFiles,
         NamesClash,
-        SystemIngredients,
         plan_system,
+        read_system_ingredients,
         slow_calls,
     )
     from koordgen.build.emit.system import with_sizes
@@ -370,14 +369,13 @@ def plan_fleet_file(
     if found:
         raise Rejected(found)
     shares = {a.name: a.share for a in fleet.applications if a.share is not None}
-    these = read_ingredients(system.applications[0].program, b"", used, fleet, resources.package())
-    all_of_it = SystemIngredients(system, tuple(parts), used, fleet, these.common, these.target_files, shares)
+    these = read_system_ingredients(system, tuple(parts), used, fleet, resources.package(), shares)
     try:
-        bundles = plan_system(all_of_it, wanted or needed)
+        bundles = plan_system(these, wanted or needed)
     except NamesClash as clash:
         span = fleet.applications[0].spans[""]
         raise Rejected([(checked.source, Diagnostic("F005", "error", str(clash), span))]) from None
-    notes += [(checked.parts[index].source, d) for index, d in slow_calls(all_of_it)]
+    notes += [(checked.parts[index].source, d) for index, d in slow_calls(these)]
     once = {part.source.path: part for part in checked.parts}
     return [*((part.source, d) for part in once.values() for d in part.diagnostics), *notes], bundles
 

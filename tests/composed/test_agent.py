@@ -137,9 +137,7 @@ def test_each_application_has_its_monitors_and_actions() -> None:
     fleet = flown(program, 12, **given)
     robot = fleet.robots[0]
     report = robot.agent.monitors.report()
-    assert [(v["application"], v["name"], v["action"]) for v in report["violated"]] == [
-        ("first", "Small", "log"), ("second", "Small", "hold")
-    ]  # fmt: skip
+    assert [(v["name"], v["action"]) for v in report["violated"]] == [("first.Small", "log"), ("second.Small", "hold")]
     assert robot.platform.held and robot.agent.phase == "running"
     assert any("first: invariant Small (first.koord:" in line and "is violated" in line for line in robot.lines)
     found = [(line["application"], line["outcome"]) for line in robot.trace("monitor")]

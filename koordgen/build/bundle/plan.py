@@ -326,13 +326,16 @@ def read_ingredients(
 
     `package`: folder of the koordgen package. `beside`: the user's own files, by their path in a bundle.
     """
+    own = {path: file.read_bytes() for path, file in beside.items()}
+    return Ingredients(program, source, targets, fleet, *read_common(targets, package), own, params)
+
+
+def read_common(targets: tuple[Target, ...], package: Path) -> tuple[Files, dict[str, Files]]:
+    """Read the files of every bundle, and those of each target by its name. `package`: see read_ingredients."""
     common = {"koordgen/__init__.py": (package / "__init__.py").read_bytes()}
     common.update(_folder(package / "runtime", "koordgen/runtime"))
-    own = {path: file.read_bytes() for path, file in beside.items()}
     common["targets/__init__.py"] = (targets[0].folder.parent / "__init__.py").read_bytes()
-    return Ingredients(
-        program, source, targets, fleet, common, {t.name: _target_files(t) for t in targets}, own, params
-    )
+    return common, {t.name: _target_files(t) for t in targets}
 
 
 def _target_files(target: Target) -> Files:

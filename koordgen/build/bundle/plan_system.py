@@ -6,6 +6,7 @@ all robots gets the bundles of a program (plan.py)."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
@@ -20,6 +21,7 @@ from koordgen.build.bundle.plan import (
     finished,
     harness_bundle,
     plan,
+    read_common,
     release_of,
     requirements,
     scenario_of,
@@ -164,6 +166,18 @@ def _store_facts(system: System) -> dict[str, Any]:
             for index, application in enumerate(system.applications)
         ],
     }
+
+
+def read_system_ingredients(
+    system: System,
+    parts: tuple[ApplicationFiles, ...],
+    targets: tuple[Target, ...],
+    fleet: Fleet,
+    package: Path,
+    shares: Mapping[str, float],
+) -> SystemIngredients:
+    """Read all files that are copied into bundles. `package`: folder of the koordgen package."""
+    return SystemIngredients(system, parts, targets, fleet, *read_common(targets, package), shares)
 
 
 def these_with_sizes(these: SystemIngredients) -> SystemIngredients:

@@ -345,15 +345,15 @@ class LocalsCodec:
         ]
 
     def encode(self, lives: Sequence[Life], incarnation: int) -> Locals:
-        parts = [
-            (_encode([life.locals[v.name] for v in own]), _encode([life.actuators.get(p.name) for p in ports]))
-            for life, (own, ports) in zip(lives, self._places, strict=True)
-        ]
         if len(lives) == 1:
-            return Locals(lives[0].round, incarnation, *parts[0], lives[0].stopped)
-        states = [(life.round, life.stopped, *part) for life, part in zip(lives, parts, strict=True)]
+            return Locals(lives[0].round, incarnation, *self._parts(0, lives[0]), lives[0].stopped)
+        states = [(life.round, life.stopped, *self._parts(place, life)) for place, life in enumerate(lives)]
         round_ = max([life.round for life in lives], default=0)
         return Locals(round_, incarnation, _encode(states), b"", all(life.stopped for life in lives))
+
+    def _parts(self, place: int, life: Life) -> tuple[bytes, bytes]:
+        own, ports = self._places[place]
+        return _encode([life.locals[v.name] for v in own]), _encode([life.actuators.get(p.name) for p in ports])
 
     def decode(self, record: Locals) -> list[Life] | None:
         """Return the private state of each instance, or None if a value does not fit its program. Never raises."""

@@ -8,13 +8,28 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+import msgspec
+
 from koordgen.runtime.agent.output_commit import OutputCommit
 from koordgen.runtime.program.fleet_program import FleetProgram, RobotInstance
-from koordgen.runtime.program.program import Effects, Frame, Life
-from koordgen.runtime.program.runner import Call, Limit, Runner
+from koordgen.runtime.program.program import Calls, Effects, Frame, Life
+from koordgen.runtime.program.runner import STOPPED, Call, EventResult, Limit, Runner
 from koordgen.runtime.trace.monitored import Observation
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.interface import unusable
+
+
+class InstanceRun(msgspec.Struct):
+    """Event of instance number `place` of a robot in the present round.
+
+    life: private state after an event with effects; None before it is known, or without effects."""
+
+    place: int
+    instance: AgentInstance
+    frame: Frame
+    result: EventResult
+    calls: Calls
+    life: Life | None = None
 
 
 class AgentInstance:
@@ -87,6 +102,8 @@ class AgentInstance:
         self, store: Mapping[str, Any], sensors: Mapping[str, Any], actuators: Mapping[str, Any], call: Call
     ) -> Frame:
         """Return the input of an event. Store, sensors and actuators are those of the whole robot."""
+        if self._views is None:
+            return self.runner.frame(store, sensors, actuators, call)
         return self.runner.frame(self.shared(store), self.sensors(sensors), self.actuators(actuators), call)
 
     def hindrance(self, sensors: Mapping[str, Any], unready: str | None) -> str | None:
@@ -95,11 +112,13 @@ class AgentInstance:
         unready: reason why the vehicle does not allow an event; None if it does. It concerns only programs that read
         the robot's position.
         """
+        if self.stopped:
+            return STOPPED
         return unusable(self.sensors(sensors)) or (unready if self._is_positioned else None)
 
     def life(self, round_: int, effects: Effects, actuators: Mapping[str, Any]) -> Life:
         """Return the private state after an event. `actuators`: those of the robot before the event."""
-        after = {**self.actuators(actuators), **effects.actuators}
+        after = {**(actuators if self._views is None else self.actuators(actuators)), **effects.actuators}
         return Life(round_, effects.locals, after, effects.stopped or self.stopped)
 
     def count(self, name: str) -> None:

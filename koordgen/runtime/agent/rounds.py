@@ -14,12 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from koordgen.runtime.agent.instance import AgentInstance
+from koordgen.runtime.agent.instance import AgentInstance, InstanceRun
 from koordgen.runtime.agent.output_commit import AHEAD, has_outputs
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import RoundCounters
 from koordgen.runtime.net.wire import ReplicaMessage
-from koordgen.runtime.program.program import Calls, Frame, Life
 from koordgen.runtime.program.runner import (
     FAULT,
     LATE,
@@ -29,7 +28,6 @@ from koordgen.runtime.program.runner import (
     NOT_CURRENT,
     STOPPED,
     WOKE_LATE,
-    EventResult,
 )
 from koordgen.runtime.replication.driver import Driver
 from koordgen.runtime.replication.replica import REQUEST_TICK, TICKS
@@ -54,20 +52,6 @@ class _Present:
     sensed: Sensed | None = None
     tick: int = -1  # last handled tick of the round
     acknowledged: bool = False  # the robots that wait know that this robot has applied the round
-
-
-@dataclass(slots=True)
-class _Run:
-    """Event of instance number `place` of the robot in the present round.
-
-    life: the instance's private state after an event with effects."""
-
-    place: int
-    instance: AgentInstance
-    frame: Frame
-    result: EventResult
-    calls: Calls
-    life: Life | None = None
 
 
 class Lost(Exception):
@@ -297,13 +281,19 @@ class Rounds:
         """Carry out the outputs of committed events, and handle transactions whose result is known."""
         state = self._replica.state
         assert state is not None
-        lost = is_changed = False
+        for outputs in self._outputs:
+            if outputs.can_settle(state):
+                self._settle_all(state, now)
+                break
+        if self._awaited is None:
+            self._body.hold(NOT_CONFIRMED, False, now)
+
+    def _settle_all(self, state: StateMachine, now: float) -> None:
+        """Handle all records whose result is known, by ascending round."""
+        lost = False
         records: list[tuple[AgentInstance, RoundRecord]] = []
         for instance in self._instances:
             outputs = instance.outputs
-            if not outputs.can_settle(state):
-                continue
-            is_changed = True
             won = outputs.decide(state)
             if won:
                 instance.runner.locals = outputs.life.locals
@@ -313,7 +303,8 @@ class Rounds:
                 lost = True
                 self.counters.lost_contention += 1
                 instance.count("lost_contention")
-            records += [(instance, record) for record in outputs.ready(state)]
+            for record in outputs.ready(state):
+                records.append((instance, record))
         if lost:
             # The checkpoint holds few private states. Overwrite the state after the lost transaction, so that repeated
             # losses never push a valid state out of the checkpoint.
@@ -327,10 +318,7 @@ class Rounds:
                 if instance.drives:
                     self._body.hold(STOPPED, effects.stopped or self.is_vehicle_stopped, now)
             self._observe(record)
-        if is_changed:
-            self._note_awaited()
-        if self._awaited is None:
-            self._body.hold(NOT_CONFIRMED, False, now)
+        self._note_awaited()
 
     def _decide(self, now: float, into: float, current: bool, unready: str | None) -> None:
         """Run events, or close the round without an event, or keep the round open for missing entries.
@@ -356,7 +344,7 @@ class Rounds:
             if reason is None and overdue:
                 reason = WOKE_LATE
         late = lagging or reason == WOKE_LATE
-        hindrances = [reason or self._hindrance(instance, sensors, unready) for instance in self._instances]
+        hindrances = [reason or instance.hindrance(sensors, unready) for instance in self._instances]
         is_hindered = None not in hindrances
         self.counters.current += current
         self.counters.in_a_row = self.counters.in_a_row + 1 if late else 0
@@ -368,7 +356,7 @@ class Rounds:
                 )
         self._body.hold(NOT_CURRENT, lagging and not current, now)
         self._body.hold(NOT_CONFIRMED, self._awaited is not None, now)
-        runs: list[_Run] = []
+        runs: list[InstanceRun] = []
         if is_hindered:
             self.counters.skipped += 1
             self._close(runs)
@@ -377,40 +365,52 @@ class Rounds:
             self._close(runs)
         self._record(runs, hindrances, sensors, now, into)
 
-    def _hindrance(self, instance: AgentInstance, sensors: Mapping[str, Any], unready: str | None) -> str | None:
-        """Return the reason why one instance runs no event in a round in which the robot may; None if it runs one."""
-        return STOPPED if instance.stopped else instance.hindrance(sensors, unready)
-
-    def _run_events(self, sensors: Mapping[str, Any], hindrances: Sequence[str | None], now: float) -> list[_Run]:
-        """Run an event of each instance without a hindrance. Return the runs by instance.
-
-        The instances divide the time up to the publish deadline by their shares. Time that one leaves goes to the next
-        ones. The first place rotates with the round, so that no instance always comes last."""
-        state, body, instances = self._replica.state, self._body, self._instances
+    def _run_events(
+        self, sensors: Mapping[str, Any], hindrances: Sequence[str | None], now: float
+    ) -> list[InstanceRun]:
+        """Run an event of each instance without a hindrance. Return the runs by instance."""
+        state, instances = self._replica.state, self._instances
         assert state is not None
-        body.others(state.shared)
-        count, deadline = len(instances), self._local_time_at(PUBLISH)
-        first = self.round % count
-        waiting = [i for i in (*range(first, count), *range(first)) if hindrances[i] is None] if count > 1 else [0]
-        runs: list[_Run] = []
+        self._body.others(state.shared)
+        deadline = self._local_time_at(PUBLISH)
+        if len(instances) == 1:
+            runs = [self._run_event(0, state.shared, sensors, deadline)]
+        else:
+            runs = self._divide_time(state.shared, sensors, hindrances, deadline)
         is_faulty = False
-        for index, place in enumerate(waiting):
-            instance, until = instances[place], deadline
-            if index + 1 < len(waiting):
-                began = instance.now()
-                shares = [instances[p].share for p in waiting[index:]]
-                until = began + (deadline - began) * shares[0] / sum(shares)
-            frame = instance.frame(state.shared, sensors, body.actuators, body.call)
-            result = instance.runner.step(frame, until)
-            instance.is_faulty = result.fault is not None
-            runs.append(_Run(place, instance, frame, result, body.calls()))
-        if count > 1:
-            runs.sort(key=_place_of)
         for instance in instances:
             if instance.is_faulty and instance.drives:
                 is_faulty = True
-        body.hold(FAULT, is_faulty, now)
+        self._body.hold(FAULT, is_faulty, now)
         return runs
+
+    def _divide_time(
+        self, shared: Mapping[str, Any], sensors: Mapping[str, Any], hindrances: Sequence[str | None], deadline: float
+    ) -> list[InstanceRun]:
+        """Run the events of several instances, which divide the time up to the deadline by their shares.
+
+        Time that one leaves goes to the next ones. The first place rotates with the round, so that no instance always
+        comes last."""
+        count = len(self._instances)
+        first = self.round % count
+        waiting = [place for place in (*range(first, count), *range(first)) if hindrances[place] is None]
+        runs: list[InstanceRun] = []
+        for index, place in enumerate(waiting):
+            began = self._instances[place].now()
+            shares = [self._instances[p].share for p in waiting[index:]]
+            until = began + (deadline - began) * shares[0] / sum(shares) if len(shares) > 1 else deadline
+            runs.append(self._run_event(place, shared, sensors, until))
+        return sorted(runs, key=_place_of)
+
+    def _run_event(
+        self, place: int, shared: Mapping[str, Any], sensors: Mapping[str, Any], until: float
+    ) -> InstanceRun:
+        """Run an event of one instance, up to a local time."""
+        instance, body = self._instances[place], self._body
+        frame = instance.frame(shared, sensors, body.actuators, body.call)
+        result = instance.runner.step(frame, until)
+        instance.is_faulty = result.fault is not None
+        return InstanceRun(place, instance, frame, result, body.calls())
 
     def _observation(
         self, instance: AgentInstance, now: float, sensed: float | None, sensors: Mapping[str, Any], current: bool
@@ -455,7 +455,7 @@ class Rounds:
     def _named(self, pids: list[int]) -> str:
         return ", ".join(self._names[p] for p in pids)
 
-    def _close(self, runs: Sequence[_Run]) -> None:
+    def _close(self, runs: Sequence[InstanceRun]) -> None:
         """Persist the private states after the events, and send the round's entry."""
         state, body = self._replica.state, self._body
         self._present.open = False
@@ -501,7 +501,7 @@ class Rounds:
 
     def _record(
         self,
-        runs: Sequence[_Run],
+        runs: Sequence[InstanceRun],
         hindrances: Sequence[str | None],
         sensors: Mapping[str, Any],
         now: float,
@@ -560,13 +560,13 @@ class Rounds:
         return self._local_time_at(min(next_ / TICKS, PUBLISH if self._present.open else 1.0))
 
 
-def _event(run: _Run) -> InstanceEvent:
+def _event(run: InstanceRun) -> InstanceEvent:
     effects, life = run.result.effects, run.life
     assert effects is not None and life is not None
     return InstanceEvent(run.place, effects.shared, life.stopped, run.result.lock)
 
 
-def _place_of(run: _Run) -> int:
+def _place_of(run: InstanceRun) -> int:
     return run.place
 
 

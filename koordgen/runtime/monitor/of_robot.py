@@ -86,14 +86,14 @@ class RobotMonitors:
     def report(self) -> dict[str, Any]:
         """Return the number of properties with each verdict, and the violated properties, of all instances.
 
-        With several applications, each violated property has the key `application`."""
+        With several applications, the name of a property begins with that of its application, as in the settings."""
         counts: dict[str, int] = {}
         violated: list[dict[str, Any]] = []
         for name, monitors in self._by_name.items():
             found = monitors.report()
             for outcome, count in found["counts"].items():
                 counts[outcome] = counts.get(outcome, 0) + count
-            violated += [{**each, "application": name} if name else each for each in found["violated"]]
+            violated += [{**each, "name": f"{name}.{each['name']}"} if name else each for each in found["violated"]]
         return {"counts": counts, "violated": violated}
 
     def summary(self) -> tuple[bool, str]:

@@ -248,7 +248,7 @@ class Layout:
         if len(authors) != 1:
             return None
         author = authors[0]
-        values = self._read(author, writes)
+        values = self._read(author, writes) if writes else ()
         if values is None or (lock >= 0 and not author.may_want(lock)):
             return None
         return (Contribution(author.number, author.pid, lock, entry.acted, False, values),)
@@ -272,10 +272,8 @@ class Layout:
 
     def _read(self, author: Author, writes: Sequence[Write]) -> Sequence[tuple[int, Any]] | None:
         """Return the values of an instance's writes; None if the instance cannot have written them."""
-        if not writes:
-            return ()
         values: list[tuple[int, Any]] = []
-        before, decoders, allowed, fits = -1, self._decoders, author.allowed, self._fits
+        before, decoders, allowed = -1, self._decoders, author.allowed
         for write in writes:
             index = write.index
             if not before < index < len(decoders) or (allowed is not None and index not in allowed):
@@ -287,7 +285,7 @@ class Layout:
                     value = decoders[index].decode(write.value)
                 except (ValueError, RecursionError):
                     return None
-                if not fits[index](value):
+                if not self._fits[index](value):
                     return None
                 values.append((index, value))
             before = index

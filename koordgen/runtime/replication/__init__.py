@@ -21,6 +21,11 @@ Locks. An event that contains `atomic` names a lock in its entry. There are no l
 entries of a round and find the same winner, the contender with the least (pid - round - lock) mod N. The events of the
 other contenders do not count; their robots find that out when they apply the round.
 
+Applications. A robot may run several programs that share variables. Each of them is an *instance*, with a number in the
+fleet, and runs its own event in a round. All events of a robot travel in one entry, with a part for each instance.
+Locks, priorities, plain writes and the robot's own variables then go by instance: replace "pid" by "instance" and N by
+the number of instances. Messages, progress, views and rejoin know robots only.
+
 Progress and commit. Every message reports how far its sender has applied (`progress`). A round is *committed* once a
 majority of all N robots has reported it as applied. A majority decides every later view, and two majorities share
 a robot. So no later view leaves out a committed round. Outputs (commands to actuators, lines to streams) wait until

@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 from koordgen.build.bundle.plan import Files, plan, read_ingredients
-from koordgen.build.bundle.plan_system import ApplicationFiles, NamesClash, SystemIngredients, plan_system
+from koordgen.build.bundle.plan_system import (
+    ApplicationFiles,
+    NamesClash,
+    SystemIngredients,
+    plan_system,
+    read_system_ingredients,
+)
 from koordgen.build.bundle.write import write
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest
@@ -31,11 +37,10 @@ def ingredients(system: System, sources: list[bytes], beside: list[Files] | None
     source = Source("fleet.yaml", FLEET.read_text())
     read = fleet.read(source, targets, {}, lambda *told: pytest.fail(str(told)))
     used = tuple(targets.values())
-    these = read_ingredients(system.applications[0].program, b"", used, read, resources.package())
     own = beside or [{} for _ in sources]
     parts = tuple([ApplicationFiles(text, files, {}) for text, files in zip(sources, own, strict=True)])
     assert read is not None
-    return SystemIngredients(system, parts, used, read, these.common, these.target_files, {"mapping": 0.75})
+    return read_system_ingredients(system, parts, used, read, resources.package(), {"mapping": 0.75})
 
 
 def pair() -> SystemIngredients:

@@ -23,7 +23,8 @@ ONE = ("koordgen.runtime.net.seal",)  # compiles in seconds
 NET = "tests/runtime/net"
 REPLICATION = "tests/runtime/replication"
 TESTS = (f"{NET}/test_layout.py", f"{REPLICATION}/test_driver.py", f"{REPLICATION}/test_large.py")
-MORE_TESTS = (NET, REPLICATION, "tests/model", "tests/runtime/agent")
+COMPOSED = ("tests/composed/test_agent.py", "tests/composed/test_store.py")
+MORE_TESTS = (NET, REPLICATION, "tests/model", "tests/runtime/agent", *COMPOSED)
 SCRIPT = """
 import sys
 from koordgen.runtime.native import protocol

@@ -18,8 +18,7 @@ from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent import process as agent
 from koordgen.runtime.config.settings import BadSettings, Peer, Settings
 from koordgen.runtime.net import socket_batch
-from koordgen.runtime.net.layout import TooLarge
-from koordgen.runtime.ops import doctor
+from koordgen.runtime.net.layout import Layout, TooLarge
 from koordgen.runtime.ops.doctor import examine, is_loopback, unknown
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Unready
@@ -147,7 +146,7 @@ def test_a_program_that_no_wire_can_carry(
     def too_large(*given: Any) -> None:
         raise TooLarge("xs is too large")
 
-    monkeypatch.setattr(doctor.Layout, "of", too_large)
+    monkeypatch.setattr(Layout, "of", too_large)
     done, found = examined(bundles[0], capsys)
     assert done == 1 and found["program"]["found"] == "xs is too large"
 

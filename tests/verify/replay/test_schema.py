@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from benchmarks.fixtures.fleet import Fleet
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.cli.base import options
+from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Effects, Fault, Frame, Life
 from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.schema import FORMAT, KINDS, OLD_FORMAT, RobotHeader, Upgrade, upgraded
@@ -30,7 +31,7 @@ OLD_TRACES = sorted(OLD.rglob("*.jsonl"))
 def written(*records: RoundRecord, **more: Any) -> list[dict[str, Any]]:
     out = io.BytesIO()
     trace = Trace(out, print)
-    trace.header(PROGRAM, "bert", 1, 2, 0.1)
+    trace.header(FleetProgram.alone(PROGRAM, 2), "bert", 1, 2, 0.1)
     for record in records:
         trace.round(record, 0.0021, more)
     return [json.loads(line) for line in out.getvalue().splitlines()]
