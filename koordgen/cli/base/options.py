@@ -53,7 +53,13 @@ def build(command: Parser) -> None:
     _fleet(wanted, "the fleet file (YAML): write a folder for each robot")
     _params(wanted)
     output = command.add_argument_group("output")
-    output.add_argument("-o", "--out", metavar="DIR", default="build", help="write DIR/APP/ (default: build)")
+    output.add_argument(
+        "-o",
+        "--out",
+        metavar="DIR",
+        default="build",
+        help="write DIR/APP/, or DIR/FLEET/ for a fleet file (default: build)",
+    )
     _diagnostics(output)
 
 
@@ -307,7 +313,11 @@ def harness(command: Parser) -> None:
     pace = "limit the speed in lockstep to a multiple of real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder for trace, summary and report (default: run-APP)")
+    output.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for trace, summary and report (default: run-APP, or run-FLEET for a fleet file)",
+    )
     later = "write no report; `koordgen report` can write it later"
     output.add_argument("--no-report", action="store_true", help=later)
     _quiet(output)
