@@ -69,6 +69,7 @@ class AgentInstance:
         runner = Runner(program, instance.pid, n_sys, clock, limit, fleet.constants(instance), application.locks)
         made = cls(runner, instance.number, clock.now)
         if fleet.is_composed:
+            made.outputs.rival = "another transaction"  # perhaps of the same robot
             made.application, made.share = application.name, fleet.share(instance)
             made._views = fleet.views(instance.application)
             made._sensors = tuple([p.name for p in program.ports if p.direction == "sensor"])

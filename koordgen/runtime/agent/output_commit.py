@@ -32,10 +32,12 @@ class OutputCommit:
 
     lives: private states to which the robot may have to roll back, by ascending round; the first state is committed.
     first: first round whose outputs wait; None if no outputs wait.
+    rival: text for users about the transaction that wins a lock that this instance wants.
     """
 
     def __init__(self, life: Life, instance: int) -> None:
         self._instance = instance
+        self.rival = "another robot's transaction"
         self._waiting: deque[_Waiting] = deque()
         self._commit: _Waiting | None = None  # transaction whose result is unknown
         self.lives = [life]
@@ -86,7 +88,7 @@ class OutputCommit:
             if waiting.life is not None:
                 self.lives.append(waiting.life)
             return True
-        why = f"{LOST_CONTENTION}: {waiting.record.event}, to another robot's transaction"
+        why = f"{LOST_CONTENTION}: {waiting.record.event}, to {self.rival}"
         waiting.record = replace(waiting.record, event=None, effects=None, frame=None, skipped=why)
         waiting.life = None
         self._look()
