@@ -26,7 +26,7 @@ ASKED = [
     (
         "How do I use my own planner?",
         ["docs/how-to/own-planner.md"],
-        "A program and a fleet that use it",
+        "A program and a fleet that use the planner",
         'planner: "own:Over"',
     ),
 ]

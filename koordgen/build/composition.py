@@ -24,7 +24,7 @@ Found = Iterator[tuple[Source, Diagnostic]]
 
 
 class ApplicationProgram(Node):
-    """An application of a fleet file with its program, and the source of that program."""
+    """Application of a fleet file, with its program and the source of the program."""
 
     settings: ApplicationSettings
     source: Source
@@ -57,7 +57,7 @@ def compose(
 
 
 def _once(found: Sequence[tuple[Source, Diagnostic]]) -> list[tuple[Source, Diagnostic]]:
-    """Return the errors without those that repeat an error at the same place, for another robot."""
+    """Return the errors, each place and code once. Several robots may have the same error."""
     once = {(source.path, d.span.line, d.span.column, d.code): (source, d) for source, d in reversed(found)}
     return list(reversed(once.values()))
 
@@ -69,7 +69,7 @@ def _with_params(part: ApplicationProgram) -> Program:
 
 
 def _bindings(part: ApplicationProgram, by_name: Mapping[str, ApplicationProgram], fleet: Source) -> Found:
-    """Check that each import of a program is bound to another application of the fleet, and nothing else is."""
+    """Check that the fleet file binds each import of a program to an application, and binds no other name."""
     settings, imports = part.settings, {imported.name: imported for imported in part.program.imports}
     for name, application in settings.imports:
         span = settings.spans[f"import.{name}"]
@@ -103,7 +103,7 @@ def _params(part: ApplicationProgram, fleet: Source) -> Found:
 
 
 def _cycles(parts: Sequence[ApplicationProgram], fleet: Source) -> Found:
-    """Report each cycle of imports once, at a binding that is a part of it."""
+    """Report each cycle of imports once, at one of its bindings."""
     bound = {part.settings.name: part.settings for part in parts}
     done = set[str]()
 

@@ -104,7 +104,7 @@ def check_alone(program: Program) -> list[Diagnostic]:
         Diagnostic("B011", "error", f"{i.name}: a program with imports {only}", i.span, help=help)
         for i in program.imports
     ]
-    help = "remove the guarantee; an invariant may state what holds in every state"
+    help = "remove the guarantee; if the formula holds in every state, declare it as an invariant instead"
     return found + [
         Diagnostic("B011", "error", f"{g.name}: a program with guarantees {only}", g.span, help=help)
         for export in program.exports
@@ -279,7 +279,7 @@ def _read_fleet(
 
 
 def _folders(*paths: str) -> list[Path]:
-    """Return the folders of files, each once, in their order."""
+    """Return the folders that contain these files, in the order of the files and without duplicates."""
     from pathlib import Path
 
     return list(dict.fromkeys(Path(path).parent for path in paths))

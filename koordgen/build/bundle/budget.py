@@ -21,8 +21,8 @@ from koordgen.lang.node import Node, replace
 if TYPE_CHECKING:
     from koordgen.fleet.medium import Medium
 
-# Equal to those of koordgen/runtime/net/layout.py, bounds.py and wire.py (tests compare them). Bytes of MessagePack's
-# longest forms.
+# These limits are equal to those of koordgen/runtime/net/layout.py, bounds.py and wire.py (tests compare them).
+# _WRITE and _ENTRY: bytes of the longest MessagePack encodings.
 DATAGRAM = 1200
 MOST_ENTRY, MOST_FRAGMENTS, MOST_SHARED = 128 * 1024, 256, 256
 WRITE, ENTRY = 5, 38
@@ -131,7 +131,7 @@ class Traffic(Node):
     """
 
     robots: int
-    receivers: int  # of each robot's datagrams; 1 if one datagram reaches all robots
+    receivers: int  # receivers of a robot's datagrams; 1 if one datagram reaches all robots
     writes: int
     datagrams: int
     entry: int
@@ -140,7 +140,7 @@ class Traffic(Node):
 
     @property
     def bytes(self) -> int:
-        """Bytes of the whole fleet in one round, with retransmissions of lost datagrams."""
+        """Bytes that the whole fleet sends in one round, with retransmissions of lost datagrams."""
         once = self.robots * self.receivers * (self.entry + self.acknowledgement)
         return ceil(once / (1 - self.loss))
 
@@ -205,7 +205,7 @@ def check_link(
 
 def on_the_medium(datagram: int, mtu: int) -> int:
     """Return the bytes of a datagram on the link: split into as few packets as possible, each with its headers."""
-    packets = ceil((datagram + _UDP) / ((mtu - _IP) // 8 * 8))  # fragments are cut at multiples of 8
+    packets = ceil((datagram + _UDP) / ((mtu - _IP) // 8 * 8))  # fragments have multiples of 8 bytes
     return datagram + _UDP + packets * (_IP + _FRAME)
 
 

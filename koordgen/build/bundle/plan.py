@@ -24,10 +24,10 @@ if TYPE_CHECKING:  # importing YAML costs too much for builds without a fleet fi
     from koordgen.fleet.robots import FleetRobot
 
 Files = dict[str, bytes]
-# File in each bundle of a fleet with the name of its release. An agent ignores agents of other releases.
-RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
+# Each bundle of a fleet has this file with the name of the release. An agent ignores agents of other releases.
+RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest that names a release
 ZENOH = "eclipse-zenoh>=1.10"
-# In every bundle and in every run's folder: source and params, which a replay of traces needs.
+# Folder with the source, and file with the params, of every bundle and every run. A replay of traces needs both.
 SOURCE, PARAMS = "source", "params.json"
 
 

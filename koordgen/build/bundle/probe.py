@@ -47,19 +47,19 @@ def _main(file: str, root: str, package: str, names: list[str]) -> None:
 
     answer = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # output of the file goes to stderr
-    sys.path[:1] = [root, package]  # replaces the folder of this script
+    sys.path[:1] = [root, package]  # in place of the folder of this script
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses need the entry
+    sys.modules[spec.name] = module  # dataclasses look up their module there
     try:
         spec.loader.exec_module(module)
         found: dict[str, Any] = {"offers": {name: _described(getattr(module, name, None)) for name in names}}
-    except BaseException as error:  # also SystemExit
+    except BaseException as error:  # the file may raise SystemExit, too
         found = {"error": f"{type(error).__name__}: {error}{_where(error, file)}"}
     json.dump(found, answer)
     answer.close()
-    os._exit(0)  # without waiting for the file's threads, and without its exit handlers
+    os._exit(0)  # ends at once: threads of the file may still run, and its exit handlers may never end
 
 
 def _where(error: BaseException, file: str) -> str:
@@ -108,7 +108,7 @@ def _flaw(cls: type) -> str:
 
     try:
         packing: Any = importlib.import_module("msgspec.msgpack")
-    except ModuleNotFoundError:  # this computer builds bundles but cannot run them
+    except ModuleNotFoundError:  # on a computer that only builds bundles, msgspec may be missing
         return ""
     try:
         packing.decode(packing.encode(cls()), type=cls)

@@ -27,7 +27,7 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# Python's binding strengths, weakest first.
+# Precedence of Python's operators, lowest first.
 _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
 _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "//": _PRODUCT, "%": _PRODUCT}
 # Builtins with another name in Python or in the runtime's library. All others are functions of the same name.
@@ -44,7 +44,7 @@ def text(node: ir.Expr, names: Names) -> str:
 
 
 def and_also(node: ir.Expr, last: str, names: Names) -> str:
-    """Return the Python expression `node and ...`; `last` is the second operand, with its `and`."""
+    """Return the Python expression `node and LAST`. `last`: the text of the second operand, which begins with `and`."""
     shown, strength = _text(node, names)
     if strength == _AND:
         return longer(shown, last)
@@ -100,7 +100,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if strength == own:
                 return longer(shown, last), own
             return chain(shown if strength > own else brackets("(", [shown], ")"), last), own
-        case ir.Compare(op, left, right) if left.type == STRING:  # strings of any length: no longer than a turn
+        case ir.Compare(op, left, right) if left.type == STRING:  # strings cost no turn, however long
             return _infix(_within(left, names, _SUM), op, _within(right, names, _SUM)), _COMPARE
         case ir.Compare(op, left, right):
             return _infix(_compared(left, names), op, _compared(right, names)), _COMPARE
@@ -134,9 +134,9 @@ def _checked(node: ir.Binary, names: Names) -> str:
 
 
 def change(node: ir.Expr, names: Names) -> str:
-    """Return ` += value` and the like if Python's operator alone does the operation; else "".
+    """Return ` += value`, ` -= value` and so on if Python's operator needs no check; otherwise "".
 
-    The effect is that of assigning the operation to its left operand: no value is changed in place.
+    The emitted assignment gives its variable a new value; it never changes a value in place.
     """
     if not isinstance(node, ir.Binary) or node.op == "**" or size.checked(node):
         return ""

@@ -18,12 +18,13 @@ from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import INT
 from koordgen.lang.ir.types import Sequence as SequenceOf
 
-FINITE, NUMBER, ANY = range(3)  # NUMBER: finite or infinite, not NaN. For a value with parts: the worst of its floats
+# Kinds of floats. NUMBER: finite or infinite, not NaN. A value with several floats has the kind of its worst float.
+FINITE, NUMBER, ANY = range(3)
 
 Kinds = Mapping[stmt.Place, int]
 NOTHING_WRITTEN: Kinds = {}
 
-_TO_FINITE = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2")  # for infinity they raise or return an angle
+_TO_FINITE = ("sin", "cos", "tan", "asin", "acos", "atan", "atan2")  # these raise for infinity, or return an angle
 _LIKE_DIFFERENCES = ("distance", "center")
 _ALWAYS_FINITE = ("cell", "GridMap", "merge", "mark_free", "mark_occupied")
 
@@ -106,20 +107,20 @@ def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
         case "+" if isinstance(left.type, SequenceOf):
             return max(first, second)
         case "/" if left.type == INT and right.type == INT:
-            return FINITE  # an overflow raises
+            return FINITE  # a quotient that overflows raises an error
         case "+" | "-" | "/":
             return _NUMBER_UNLESS_TWICE[first + second]
         case "*" if first + second == NUMBER and not (is_nonzero_literal(left) or is_nonzero_literal(right)):
-            return ANY  # infinity times zero
+            return ANY  # infinity times zero is NaN
         case "*":
             return _NUMBER_UNLESS_TWICE[first + second]
         case "//":
             return NUMBER if first + second == FINITE else ANY
-        case _:  # %, and **, which raises for an overflow
+        case _:  # % and **; ** raises an error if it overflows
             return FINITE if first + second == FINITE else ANY
 
 
-# Indexed by the sum of two kinds: infinity minus infinity is possible only if both operands may be infinite.
+# Kind of a sum or difference, by the sum of the operands' kinds. Only two infinite operands can yield NaN.
 _NUMBER_UNLESS_TWICE = (NUMBER, NUMBER, ANY, ANY, ANY)
 
 
@@ -132,9 +133,9 @@ def is_nonzero_literal(node: ir.Expr) -> bool:
 def _of_builtin(name: str, args: tuple[ir.Expr, ...], known: Kinds) -> int:
     worst = _worst(args, known)
     match name:
-        case "min" | "max" | "sorted":  # they compare, so they raise for NaN
+        case "min" | "max" | "sorted":  # these compare their arguments, so they raise an error for NaN
             return min(worst, NUMBER)
-        case "path_distance":  # it raises for NaN
+        case "path_distance":  # it raises an error for NaN
             return NUMBER
         case "sum":
             return NUMBER if worst == FINITE else ANY
@@ -144,7 +145,7 @@ def _of_builtin(name: str, args: tuple[ir.Expr, ...], known: Kinds) -> int:
             return ANY if worst == ANY else FINITE
         case _ if name in _ALWAYS_FINITE:
             return FINITE
-        case _:  # Point, abs, sqrt, appended, first, ...: the kind of the worst argument
+        case _:  # all others, such as Point, abs, sqrt and first: the kind of the worst argument
             return worst
 
 

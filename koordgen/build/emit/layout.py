@@ -17,7 +17,9 @@ from collections.abc import Sequence
 
 WIDTH = 100  # columns of a generated line; a part that cannot be broken may exceed it
 STEP = "    "
-_DEEPEST = 12  # levels of broken brackets: each may add a pair, and Python reads at most 200 nested ones
+# Largest depth of brackets that are broken over several lines. Each level may add a pair of brackets, and Python
+# accepts at most 200 nested pairs.
+_DEEPEST = 12
 
 
 class _Code(str):
@@ -28,15 +30,15 @@ class _Code(str):
 
 
 class _Brackets(_Code):
-    """Text up to an opening bracket, parts, and a closing bracket."""
+    """Bracketed expression: the text up to the opening bracket, the parts, and the closing bracket."""
 
     __slots__ = ("comma", "dense")
-    comma: bool  # if broken, each part ends with a comma
-    dense: bool  # if broken, a line has as many parts as fit
+    comma: bool  # True: if the expression is broken, each part ends with a comma
+    dense: bool  # True: if the expression is broken, each line has as many parts as fit
 
 
 class _Chain(_Code):
-    """Operands, each with the operator before it; between brackets each may have a line of its own."""
+    """Chain of operands, each with the operator before it. Between brackets, each may stand on a line of its own."""
 
     __slots__ = ()
 
@@ -50,7 +52,8 @@ class _Sequence(_Code):
 def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = False) -> str:
     """Return `f(a, b)`, `(a, b)` or `[a, b]`.
 
-    `opening`: the text up to and with the opening bracket. `dense`: if it is broken, a line has as many items as fit.
+    `opening`: the text up to and with the opening bracket. `dense`: if the expression is broken over several lines,
+    each line has as many items as fit.
     """
     if not items:
         return f"{opening}{closing}"
@@ -84,7 +87,10 @@ def longer(first: str, last: str) -> str:
 
 
 def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
-    """Return `a if b else c` from the parts `a` and `if b`. `more`: `otherwise` is a conditional expression, too."""
+    """Return `a if b else c` from the parts `a` and `if b` and `otherwise`, the expression `c`.
+
+    `more`: True if `otherwise` is itself a conditional expression.
+    """
     if more and isinstance(otherwise, _Chain):
         return chain(*parts, joined("else ", otherwise.parts[0]), *otherwise.parts[1:])
     return chain(*parts, joined("else ", otherwise))
@@ -107,7 +113,7 @@ class Page:
         self.lines: list[tuple[str, int]] = []
 
     def add(self, code: str = "", indent: str = "", line: int = 0) -> None:
-        """Add code, broken into as many lines as needed. A comment in the first one names `line`."""
+        """Add code, broken into as many lines as needed. A comment in the first of these lines names `line`."""
         mark = f"  # line {line}" if line else ""
         if len(indent) + len(code) + len(mark) <= WIDTH:
             self.lines.append((f"{indent}{code}{mark}" if code else "", line))
@@ -123,10 +129,10 @@ class Page:
 
 
 def _put(lines: list[str], code: str, indent: int, tail: int, bare: bool) -> None:
-    """Append code to the last line, broken if necessary.
+    """Append code to the last line, and break the code over several lines if necessary.
 
-    `tail`: columns to keep free in its last line, for the text that follows. `bare`: it stands alone between brackets,
-    and the last line is still empty.
+    `tail`: columns to keep free at the end of the code, for the text that follows. `bare`: True if the code stands
+    alone between brackets and the last line is still empty.
     """
     if not isinstance(code, _Code) or len(lines[-1]) + len(code) + tail <= WIDTH:
         lines[-1] += code
@@ -172,7 +178,7 @@ def _put_brackets(lines: list[str], code: str, indent: int) -> None:
 
 
 def _needed(parts: Sequence[str], tail: int) -> int:
-    """Return the columns needed for the parts and `tail`, up to the first bracket that may be broken."""
+    """Return the number of columns of the parts and `tail`, counted up to the first bracket that may be broken."""
     columns = 0
     for part in parts:
         if isinstance(part, _Code):

@@ -98,25 +98,25 @@ class Names:
         return name
 
     def attempt(self) -> Names:
-        """Return the same names with their own record of used names, for text that may not be emitted in the end."""
+        """Return a copy that has not recorded any used name, for text that may be dropped before it is emitted."""
         made = copy.copy(self)
         made.used = set()
         return made
 
     def within(self, floats: Mapping[Place, int]) -> Names:
-        """Return the same names for a block; `floats`: the kinds of floats that its places may hold."""
+        """Return a copy for one block. `floats`: the kinds of floats that variables and ports may hold in the block."""
         made = copy.copy(self)
         made.floats = floats
         return made
 
     @staticmethod
     def temp(name: str) -> str:
-        """Return the name of a variable declared in an event or function; it is unique there, as is the prefix."""
+        """Return the Python name of a variable that an event or a function declares. No other name has this prefix."""
         return f"my_{name}"
 
 
 def _free(wanted: str, taken: set[str]) -> str:
-    """Return `wanted`, with a number if it is taken; `x` comes before an underscore, which is special in Python."""
+    """Return `wanted`, with a number if the name is taken, and with an `x` in front if it begins with an underscore."""
     wanted = f"x{wanted}" if wanted.startswith("_") else wanted
     name, number = wanted, 2
     while name in taken:

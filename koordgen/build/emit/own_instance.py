@@ -19,7 +19,7 @@ from koordgen.lang.node import Node
 
 
 class _Possible(NamedTuple):
-    """Possible truth values of a formula; none if it needs an unknown value in every case."""
+    """Possible truth values of a formula. Both are False if every evaluation of the formula needs an unknown value."""
 
     be_true: bool
     be_false: bool
@@ -29,7 +29,11 @@ _UNKNOWN, _ANY = _Possible(False, False), _Possible(True, True)
 
 
 def is_own_instance_enough(node: ir.Quantified) -> bool:
-    """Return whether no other robot's instance of a `forall` can be false here, and at least one cannot be true."""
+    """Return whether a robot need evaluate only its own instance of a `forall` over robots.
+
+    This is so if, as far as this robot knows, the instance of another robot is never false, and is never true if no
+    other name in the formula denotes that robot. The value of such an instance is unknown.
+    """
     if node.kind != "forall" or not isinstance(node.domain, ir.Ids):
         return False
     return not _possible(node.body, node.name, True).be_true and not _possible(node.body, node.name, False).be_false

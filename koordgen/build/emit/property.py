@@ -27,7 +27,7 @@ _NOTES = '# As in program.py. Where a line says "discards the event", a formula 
 
 
 class _Names(Names):
-    """Names in formulas: ports are read before and after a step, and sensors through `.value`, as actuators are."""
+    """Names in formulas. A port has a value before and one after a step. Sensors are read through `.value`."""
 
     formulas = True
     before, after = "before.", "after."
@@ -108,7 +108,7 @@ def _specs(formula: e.Expr, program: ir.Program) -> str:
     specs = {s.name: s.span.line for s in program.specs}
     for node in walk(formula):
         if isinstance(node, e.Call) and node.name in specs:
-            return f"{node.name} (line {specs[node.name]}) is a spec fun: only axioms tell of it"
+            return f"{node.name} (line {specs[node.name]}) is a spec fun, which only axioms describe"
     return ""
 
 

@@ -76,12 +76,12 @@ def _screened(node: ir.Expr, wanted: bool, axes: dict[str, int], names: Names) -
 def _compared(op: str, left: ir.Expr, right: ir.Expr, axes: dict[str, int], names: Names) -> str:
     first, second = _value(left, axes, names), _value(right, axes, names)
     match left, right:
-        case ((ir.TempRead() | ir.Pid()), (ir.TempRead() | ir.Pid())):  # two robots
+        case ((ir.TempRead() | ir.Pid()), (ir.TempRead() | ir.Pid())):  # comparison of the indices of two robots
             return chain(first, f"{op} {second}")
         case _ if left.type == BOOL and op in ("==", "!="):
             return chain(brackets("(", [first], ")"), joined(f"{op} ", brackets("(", [second], ")")))
         case _ if left.type not in _NUMBERS or op == "==":
-            raise _Unsupported  # no margin makes it sound
+            raise _Unsupported  # no margin would make this comparison sound
         case _ if op == "!=":
             return brackets("b.apart(", [first, second], ")")
         case _:

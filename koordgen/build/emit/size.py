@@ -26,14 +26,14 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# Equal to those of koordgen/runtime/values/turns.py (a test compares them).
+# These limits are equal to those of koordgen/runtime/values/turns.py (a test compares them).
 ELEMENTS_A_TURN = 100
 CELLS_AN_ELEMENT = 100
 MOST_BITS = 4096
 SMALL_BITS = 64
 
-_ROBOTS = 16  # bits of a pid
-_PLACES = 32  # bits of a length
+_ROBOTS = 16  # most bits of a pid
+_PLACES = 32  # most bits of a length or an index
 _CHECKED = {"+": "plus", "-": "minus", "*": "product"}
 
 

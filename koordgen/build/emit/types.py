@@ -32,7 +32,7 @@ NUMBER = 9
 FIXED: dict[Type, int] = {
     BOOL: 1, INT: NUMBER, FLOAT: NUMBER, POINT: 1 + 3 * NUMBER, POSE: 1 + 1 + 3 * NUMBER + NUMBER, GRID: 1 + 3 * NUMBER
 }  # fmt: skip
-EXTERN_BYTES = 256  # of a value of an extern type
+EXTERN_BYTES = 256  # most bytes of a value of an extern type
 _SIZED = {"string": ("str", "Text"), "GridMap": ("GridMap", "Cells"), "Scan": ("Scan", "Rays")}
 _DEFAULTS: dict[Type, str] = {BOOL: "False", INT: "0", FLOAT: "0.0"}
 
@@ -106,7 +106,7 @@ def with_floats(type_: Type) -> bool:
     match type_:
         case Scalar() | Sized():
             return type_ in (FLOAT, POINT, POSE, GRID) or (isinstance(type_, Sized) and type_.name != "string")
-        case Sequence(_, element) | PerRobot(element) | MapOf(_, element):  # keys have none
+        case Sequence(_, element) | PerRobot(element) | MapOf(_, element):  # keys of a map contain no floats
             return with_floats(element)
         case TupleOf(items):
             return any(map(with_floats, items))

@@ -105,7 +105,7 @@ class NoMeaning(Exception):
 
 def _spec(name: str, args: tuple[Value, ...], world: World) -> Value:
     if name not in world.externs:
-        raise NoMeaning(f"{name} is a spec fun: only axioms tell of it")
+        raise NoMeaning(f"{name} is a spec fun, which only axioms describe")
     return world.externs[name](*args)
 
 

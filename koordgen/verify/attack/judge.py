@@ -398,7 +398,9 @@ class TrialJudge:
 
         Return the state after the step, and a contradiction or None."""
         if (act.event == INIT) != (now.round == 0):
-            raise TrialNotCovered("`init` must be the first step of a trial that begins before round 1, and no other")
+            raise TrialNotCovered(
+                "a trial that begins before round 1 must begin with `init`, and no other step may be `init`"
+            )
         if act.event == INIT:
             after, _, breach = self.init(now, act.answers)
             return after, breach

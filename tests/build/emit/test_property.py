@@ -73,7 +73,7 @@ def test_properties_know_their_lines_and_what_they_read(found: Properties) -> No
 def test_what_no_one_can_evaluate_is_listed(found: Properties) -> None:
     assert [(u.kind, u.name, u.why) for u in found.unchecked] == [
         ("axiom", "Nothing", "an axiom is assumed"),
-        ("invariant", "Calm", "calm (line 6) is a spec fun: only axioms tell of it"),
+        ("invariant", "Calm", "calm (line 6) is a spec fun, which only axioms describe"),
     ]
 
 

@@ -224,7 +224,7 @@ invariant Q: forall i in ID: good(a[i])
 """
     found = attacked(text)
     assert found.contradiction is None
-    assert found.of("Go", "Q") == (0, "good is a spec fun: only axioms tell of it")
+    assert found.of("Go", "Q") == (0, "good is a spec fun, which only axioms describe")
 
 
 def test_an_event_that_never_runs_gives_no_states_and_a_reason(solver: Solver) -> None:

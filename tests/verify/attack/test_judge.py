@@ -180,8 +180,8 @@ def test_a_trial_is_run_step_by_step() -> None:
     [
         (begun(0), [Act("Up", 0)], "the first state of the trial violates Q"),
         (launched(-1), [Act(INIT)], "violates a formula of `initially`"),
-        (launched(), [Act("Up", 0)], "`init` must be the first step"),
-        (begun(1), [Act(INIT)], "`init` must be the first step"),
+        (launched(), [Act("Up", 0)], "must begin with `init`"),
+        (begun(1), [Act(INIT)], "must begin with `init`"),
         (begun(1), [Act("Down", 0)], "robot 0 may not run event Down at this step"),
         (begun(1), [Act("Up", 0), Act("Up", 0)], "two events in one round"),
         (begun(3), [Act("Down", 0), moved(1)], "has further steps after a step"),

@@ -219,7 +219,7 @@ PROPERTIES = Properties(
             kind="invariant",
             name="Calm",
             line=164,
-            why="calm (line 158) is a spec fun: only axioms tell of it",
+            why="calm (line 158) is a spec fun, which only axioms describe",
         ),
     ),
     measured=("Motion.position",),
