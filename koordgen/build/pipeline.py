@@ -364,7 +364,7 @@ def plan_fleet_file(
         )
         own |= _own_classes(path, fleet_path, fleet, targets)
         found += [(part.source, d) for d in missing]
-        files = {name: file.read_bytes() for name, file in own.items()}
+        files = {} if missing else {name: file.read_bytes() for name, file in own.items()}
         parts.append(ApplicationFiles(Path(path).read_bytes(), files, settings.params))
     if found:
         raise Rejected(found)

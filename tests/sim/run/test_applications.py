@@ -153,6 +153,15 @@ def test_a_fleet_file_in_place_of_a_program_names_the_folders(tmp_path: Path, ca
     assert (tmp_path / "build" / "small" / "sim" / "scenario.json").is_file()
 
 
+def test_a_missing_functions_file_is_reported_in_its_program(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = fleet(tmp_path)
+    (tmp_path / "quads.koord").write_text("extern fun twice(int n) -> int\n" + QUADS.replace("= done", "= twice(done)"))
+    assert main(["build", file, "-o", str(tmp_path / "build")]) == 1
+    assert "quads_functions.py" in capsys.readouterr().err and not (tmp_path / "build").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
