@@ -18,6 +18,12 @@ from koordgen.runtime.config.settings import Settings
 
 ROOT = Path(__file__).parents[1]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"
+COMPOSED = ("survey",)  # examples whose programs import from one another, so that a fleet file names all of them
+
+
+def programs_alone() -> list[Path]:
+    """Return the programs of all examples that run alone."""
+    return sorted(path for path in ROOT.glob("examples/*/*.koord") if path.parent.name not in COMPOSED)
 
 
 def fleet_of(target: str, size: int = 2) -> Fleet:

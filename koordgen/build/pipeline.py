@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # `check` needs none of these; functions import them late, si
     from koordgen.fleet.manifest import Target
     from koordgen.fleet.settings import DriverClass, NameChecks, ValueCheck
     from koordgen.lang.analyze.params import Value
-    from koordgen.lang.semantics.composition import System
+    from koordgen.lang.semantics.composition import Application, System
 
 
 class Rejected(Exception):
@@ -327,6 +327,82 @@ def check_system(fleet_path: str) -> CheckedSystem:
     if system is None or found:
         raise Rejected([*found, *misfits])
     return CheckedSystem(source, fleet, tuple(checked[a.program] for a in fleet.applications), system)
+
+
+def plan_fleet_file(
+    fleet_path: str, wanted: Collection[str] | None
+) -> tuple[list[tuple[Source, Diagnostic]], dict[str, Files]]:
+    """Plan the bundles of a fleet file with `applications`, in memory. Return warnings and notes, and the bundles.
+
+    `wanted`: names of existing targets; None: those of the fleet's robots. Raises Rejected, ManifestError.
+    """
+    from pathlib import Path
+
+    from koordgen.build.bundle.plan_system import (
+        ApplicationFiles,
+        NamesClash,
+        plan_system,
+        read_system_ingredients,
+        slow_calls,
+    )
+    from koordgen.build.emit.system import with_sizes
+    from koordgen.fleet import manifest
+    from koordgen.lang import resources
+
+    checked = check_system(fleet_path)
+    fleet, system = checked.fleet, with_sizes(checked.system)
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    needed = {r.target for r in fleet.robots}.union(wanted or ())
+    used = tuple(targets[name] for name in sorted(needed))
+    notes = _check_system_sending(checked, system)
+    found = [(source, d) for source, d in notes if d.severity == "error"]
+    parts = []
+    for part, settings, application in zip(checked.parts, fleet.applications, system.applications, strict=True):
+        own_targets = tuple(targets[name] for name in sorted({fleet.robots[r].target for r in settings.members}))
+        path = part.source.path
+        own, missing = _beside(
+            application.program, path, fleet_path, _own_drivers(application, fleet), own_targets, None
+        )
+        own |= _own_classes(path, fleet_path, fleet, targets)
+        found += [(part.source, d) for d in missing]
+        files = {} if missing else {name: file.read_bytes() for name, file in own.items()}
+        parts.append(ApplicationFiles(Path(path).read_bytes(), files, settings.params))
+    if found:
+        raise Rejected(found)
+    shares = {a.name: a.share for a in fleet.applications if a.share is not None}
+    these = read_system_ingredients(system, tuple(parts), used, fleet, resources.package(), shares)
+    try:
+        bundles = plan_system(these, wanted or needed)
+    except NamesClash as clash:
+        span = fleet.applications[0].spans[""]
+        raise Rejected([(checked.source, Diagnostic("F005", "error", str(clash), span))]) from None
+    notes += [(checked.parts[index].source, d) for index, d in slow_calls(these)]
+    once = {part.source.path: part for part in checked.parts}
+    return [*((part.source, d) for part in once.values() for d in part.diagnostics), *notes], bundles
+
+
+def _check_system_sending(checked: CheckedSystem, system: System) -> list[tuple[Source, Diagnostic]]:
+    """Check sizes of messages of all applications; see _check_sending."""
+    from koordgen.build.bundle.system_budget import check_system_budget, check_system_link
+
+    fleet = checked.fleet
+    names, to_all = [robot.name for robot in fleet.robots], fleet.network["transport"] in ("broadcast", "multicast")
+    found = check_system_budget(system, names) or check_system_link(system, names, fleet.delta, fleet.link, to_all)
+    return [(checked.parts[index].source, d) for index, d in found]
+
+
+def _own_drivers(application: Application, fleet: Fleet) -> dict[str, DriverClass]:
+    """Return the drivers of the modules that the program of an application has."""
+    modules = {module.name for module in application.program.modules}
+    return {name: driver for name, driver in fleet.drivers.items() if name in modules}
+
+
+def fleet_name(fleet_path: str) -> str:
+    """Return the name of a fleet for folders of results: the file's, or that of its folder for `fleet.yaml`."""
+    from pathlib import Path
+
+    path = Path(fleet_path).resolve()
+    return path.parent.name or path.stem if path.stem == "fleet" else path.stem
 
 
 def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:

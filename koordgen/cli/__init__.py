@@ -128,7 +128,9 @@ def _dump(options: Namespace) -> int:
 def _build(options: Namespace) -> int:
     from pathlib import Path
 
-    if options.target is None and options.fleet is None:
+    from koordgen.cli.base.values import is_fleet
+
+    if options.target is None and options.fleet is None and not is_fleet(options.program):
         help = f"name a fleet file with --fleet, or targets with --target; possible targets: {available_targets()}"
         raise Failure(USAGE, "neither --fleet nor --target is given", help)
     targets = None if options.target is None else target_names(options.target)

@@ -65,6 +65,8 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         scenario = replace(scenario, harness={**scenario.harness, "engine": choose(scenario.engine)})
         plan = _plan(scenario, options)
         _require(scenario, placed=plan is not None)
+        if options.windows and scenario.applications:
+            raise BadScenario("--windows needs a fleet with one application")
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
@@ -264,10 +266,11 @@ def _run(
     windows, guide = None, None
     if plan is not None:
         run, watcher, guide = _following(root, scenario, plan, folder, options, progress)
+        watchers = [watcher]
     else:
-        run, watcher, windows = _made(root, scenario, folder, options, progress)
+        run, watchers, windows = _made(root, scenario, folder, options, progress)
     given, paced = _steered(run, wrong, folder, options, view)
-    load = None if options.lockstep else HostLoad(scenario.delta, watcher.moving)
+    load = None if options.lockstep else HostLoad(scenario.delta, set().union(*[each.moving for each in watchers]))
     run.companions += [each for each in (*views, load) if each]
     began = time.perf_counter()
     try:
@@ -281,7 +284,8 @@ def _run(
     trace.merge(merged, header, result.zero, run.poses_file, agents, result.marks)
     run.poses_file.unlink()
     found = summary.summarise(*trace.read(merged), result)
-    found.watching = round(watcher.seconds / (time.perf_counter() - began), 4)
+    watched = sum(each.seconds for each in watchers)
+    found.watching = round(watched / (time.perf_counter() - began), 4)
     if windows is not None:
         windows.write(folder, result.ended)
     if paced is not None and paced.waited:
@@ -333,7 +337,7 @@ def _following(
 
 def _made(
     root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, progress: Progress
-) -> tuple[Run, Watcher, Windows | None]:
+) -> tuple[Run, list[Watcher], Windows | None]:
     """Return the run with its companions, ready to execute."""
     from targets.sim.judging import watch
     from targets.sim.judging.idle import IDLE_TIMEOUT, Idle
@@ -343,14 +347,14 @@ def _made(
     from targets.sim.run.run import Run
 
     robots = tuple(robot.name for robot in scenario.robots)
-    properties = watch.load(root, [served for served, _, _ in scenario.drivers])
-    windows = Windows(properties, scenario, options.seed) if options.windows else None
-    watcher = watch.Watcher(properties, robots, scenario.delta, windows)
+    applications = watch.load_fleet(root, len(robots), [served for served, _, _ in scenario.drivers])
+    windows = Windows(applications[0].properties, scenario, options.seed) if options.windows else None
+    watchers = [watch.Watcher(a.properties, robots, scenario.delta, windows, a) for a in applications]
     shutil.copytree(root / SOURCE, folder / SOURCE)
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
-    run.companions += [watcher, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
-    return run, watcher, windows
+    run.companions += [*watchers, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
+    return run, watchers, windows
 
 
 def _steered(
@@ -376,13 +380,17 @@ def _steered(
 
 def _header(scenario: Scenario, plan: ReplayPlan | None, options: argparse.Namespace) -> Header:
     """Return the header of the merged trace, assuming that round 1 begins."""
+    from msgspec import UNSET
+
     from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 
     names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
+    applications = tuple(each.name for each in scenario.applications) or (scenario.app,)
     return Header(
         FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration, True,
         scenario.number("min_separation", 0.0), (scenario.geofence.lo, scenario.geofence.hi), scenario.obstacles,
-        scenario.world, scenario.shared, scenario.records, plan.kind if plan else "", (scenario.app,),
+        scenario.world, scenario.shared, scenario.records, plan.kind if plan else "", applications,
+        composition=scenario.applications or UNSET,
     )  # fmt: skip
 
 

@@ -14,9 +14,10 @@ from pathlib import Path
 import pytest
 
 from koordgen import cli
-from koordgen.build.pipeline import check_file
+from koordgen.build.pipeline import check_file, check_system
 from koordgen.lang.format.files import format_file
 from tests.examples.stage import EXAMPLES
+from tests.programs import COMPOSED
 
 ROOT = EXAMPLES.parent
 NAMES = sorted(path.name for path in EXAMPLES.iterdir() if path.is_dir())
@@ -38,21 +39,25 @@ def commands(text: str) -> list[list[str]]:
 ALONE = {"hello"}  # runs without a fleet file
 
 
-def test_all_thirteen_are_here() -> None:
-    assert len(NAMES) == 13
+def test_all_fourteen_are_here() -> None:
+    assert len(NAMES) == 14
     assert {name for name in NAMES if not (EXAMPLES / name / "fleet.yaml").exists()} == ALONE
 
 
 @each
 def test_it_checks_without_a_word(name: str) -> None:
+    if name in COMPOSED:
+        assert all(part.diagnostics == () for part in check_system(str(EXAMPLES / name / "fleet.yaml")).parts)
+        return
     assert check_file(str(EXAMPLES / name / f"{name}.koord")).diagnostics == ()
 
 
 @each
 def test_it_is_in_the_one_style(name: str) -> None:
-    path = str(EXAMPLES / name / f"{name}.koord")
-    result = format_file(path, None, write=False)
-    assert result.after == result.before
+    main = EXAMPLES / name / f"{name}.koord"
+    for path in [main] if name not in COMPOSED else sorted((EXAMPLES / name).glob("*.koord")):
+        result = format_file(str(path), None, write=False)
+        assert result.after == result.before
 
 
 @each
@@ -67,15 +72,20 @@ def test_the_commands_of_its_readme(
         return
     build, sim, *others = commands(readme(name))
     folder = f"examples/{name}"
-    assert build[:3] == ["koordgen", "build", f"{folder}/{name}.koord"] and build[-2:] == ["-o", "build"]
-    assert sim[:5] == ["koordgen", "sim", f"{folder}/{name}.koord", "--fleet", f"{folder}/fleet.yaml"]
+    program = [f"{folder}/{name}.koord", "--fleet", f"{folder}/fleet.yaml"]
+    if name in COMPOSED:
+        program = program[2:]
+    assert build[:3] == ["koordgen", "build", program[0]] and build[-2:] == ["-o", "build"]
+    assert sim[: 2 + len(program)] == ["koordgen", "sim", *program]
     assert all((ROOT / word).exists() for line in others for word in line if word.startswith("examples/"))
     monkeypatch.chdir(ROOT)
     assert cli.main([*build[1:-1], str(tmp_path)]) == 0
     told = capsys.readouterr()
     assert told.err == "", "building it warns"
-    robots = re.findall(r"^ *- name: (\w+)$", (EXAMPLES / name / "fleet.yaml").read_text(), re.MULTILINE)
-    assert robots and all((tmp_path / name / robot / "program.py").exists() for robot in robots)
+    _, _, listed = (EXAMPLES / name / "fleet.yaml").read_text().partition("\nrobots:")
+    robots = re.findall(r"^ *- name: (\w+)$", listed, re.MULTILINE)
+    module = "applications.py" if name in COMPOSED else "program.py"
+    assert robots and all((tmp_path / name / robot / module).exists() for robot in robots)
 
 
 @each
@@ -104,9 +114,9 @@ def test_the_page_shows_pictures_that_are_there() -> None:
 
 SECONDS = {
     "atomicsum": 5, "crossing": 45, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hello": 15,
-    "hvac": 10, "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "task": 120,
+    "hvac": 10, "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "survey": 240, "task": 120,
 }  # fmt: skip
-ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "rendezvous", "task"}
+ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "rendezvous", "survey", "task"}
 
 
 @pytest.mark.slow
@@ -114,11 +124,12 @@ ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "re
 def test_it_runs_in_the_simulator(name: str, tmp_path: Path) -> None:
     """The run holds; programs that stop do so within the given time."""
     folder = EXAMPLES / name
-    command = [sys.executable, "-m", "koordgen", "sim", str(folder / f"{name}.koord")]
-    command += [] if name in ALONE else ["--fleet", str(folder / "fleet.yaml")]
+    command = [sys.executable, "-m", "koordgen", "sim"]
+    command += [str(folder / ("fleet.yaml" if name in COMPOSED else f"{name}.koord"))]
+    command += [] if name in ALONE or name in COMPOSED else ["--fleet", str(folder / "fleet.yaml")]
     command += ["--duration", str(SECONDS[name]), "--seed", "3", "--lockstep"]
     command += ["--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"{name}: HELD" in done.stdout
+    assert f"{'mapping+task' if name in COMPOSED else name}: HELD" in done.stdout
     assert ("all robots ended by themselves" in done.stdout) == (name in ENDS)

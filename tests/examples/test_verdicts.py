@@ -1,4 +1,4 @@
-"""Verdict scripts of Task, Mapping and Formation: each fault is found, and correct runs pass."""
+"""Verdict scripts of Task, Mapping, Formation and the survey: each fault is found, and correct runs pass."""
 
 from __future__ import annotations
 
@@ -158,7 +158,47 @@ def test_formation(off: float, turned: float, status: int, tmp_path: Path, capsy
     assert judged("formation", tmp_path, [], capsys, robots=ring(off, turned))[0] == status
 
 
-@pytest.mark.parametrize("name", ["task", "mapping", "formation"])
+def surveyed(folder: Path, *records: dict[str, Any]) -> Records:
+    """A run in which bert maps the world of Mapping, and alice has a task at (0.75, 0.75) and one in the wall."""
+    (folder / "source/task").mkdir(parents=True, exist_ok=True)
+    tasks = [{"id": 1, "target": [0.75, 0.75, 1.5]}, {"id": 2, "target": [3.0, 1.0, 1.5]}]
+    (folder / "source/task/params.json").write_text(json.dumps({"tasks": tasks}))
+    return [*mapped({**handed(5.0, RIGHT), "application": "mapping", "pid": 1, "actuators": {}}), *records]
+
+
+ASSIGN = {"kind": "round", "t": 6.0, "pid": 0, "application": "task", "shared": {}, "actuators": {"Motion.path": []}}
+THERE = {"kind": "pose", "t": 7.0, "pid": 0, "position": [0.8, 0.7, 1.5]}
+DID = {"kind": "stream", "t": 7.0, "pid": 0, "text": "task 1 done"}
+CANNOT = {"kind": "stream", "t": 9.0, "pid": 0, "text": "task 2 is not reachable"}
+END = {"kind": "end", "t": 10.0, "why": "stopped"}
+STRAY = {"kind": "pose", "t": 8.0, "pid": 0, "position": [3.0, 1.0, 1.5]}
+
+
+@pytest.mark.parametrize(
+    ("records", "status", "said"),
+    [
+        ([ASSIGN, THERE, DID, CANNOT, END], 0, "all tasks are done"),
+        ([ASSIGN, THERE, DID, CANNOT, END, STRAY], 0, "all tasks are done"),
+        ([ASSIGN, THERE, DID, STRAY, CANNOT, END], 3, "at 8.0 s alice was above a cell that is not known"),
+        ([ASSIGN, THERE, DID, END], 3, "task 2 cannot be reached, and nobody said so"),
+        ([ASSIGN, THERE, DID, DID, CANNOT, END], 3, "task 1 was done 2 times"),
+        ([ASSIGN, CANNOT, END], 3, "task 1 was done 0 times"),
+        ([ASSIGN, {**THERE, "position": [0.2, 0.2, 1.5]}, DID, CANNOT], 3, "task 1 was reported from 0.78 m away"),
+    ],
+)
+def test_survey(records: Records, status: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found, told = judged("survey", tmp_path, surveyed(tmp_path, *records), capsys)
+    assert found == status and said in told[0], told
+
+
+def test_survey_a_wrong_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    records = surveyed(tmp_path, ASSIGN, THERE, DID, CANNOT, END)
+    wrong = {**handed(6.0, ["#...#???", *RIGHT[1:]]), "application": "mapping", "actuators": {}}
+    found, told = judged("survey", tmp_path, [*records, wrong], capsys)
+    assert found == 3 and "1 cells contradict the truth: at 6.0 s cell (0, 3) is occupied" in told[0]
+
+
+@pytest.mark.parametrize("name", ["task", "mapping", "formation", "survey"])
 def test_files_that_cannot_be_used_are_told(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert script(name).main([str(tmp_path)]) == 1 and "No such file" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("{")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from koordgen import __version__
 from koordgen.build.bundle.port_calls import planner_budget
@@ -138,31 +138,61 @@ def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
 
 
 def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, Files]) -> Files:
-    module, _, name = target.entry.partition(":")
     program, fleet = these.program, these.fleet
-    robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
     functions = f"{functions_module(program)}.py"
-    files = {
-        **these.common,
-        **these.target_files[target.name],
-        **{path: data for name in sorted({r[1] for r in robots}) for path, data in these.target_files[name].items()},
+    own = {
         **{path: data for path, data in these.beside.items() if path == functions},
-        "__main__.py": render("main_harness.py", module=module, name=name).encode(),
         "program.py": text,
         **_properties(these),
         f"{SOURCE}/{program.path}": these.source,
         f"{SOURCE}/{PARAMS}": as_json(dict(these.params)),
         **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},
+    }
+    if fleet is not None:
+        own["scenario.json"] = as_json(_scenario(these, fleet, target))
+    return harness_bundle(these, target, fleet, own, agents, program.name, program.path)
+
+
+class HarnessIngredients(Protocol):
+    """Inputs of a harness's bundle that do not depend on the programs; see Ingredients."""
+
+    @property
+    def targets(self) -> tuple[Target, ...]: ...
+    @property
+    def common(self) -> Files: ...
+    @property
+    def target_files(self) -> dict[str, Files]: ...
+
+
+def harness_bundle(
+    these: HarnessIngredients,
+    target: Target,
+    fleet: Fleet | None,
+    own: Files,
+    agents: dict[str, Files],
+    app: str,
+    source: str,
+) -> Files:
+    """Return the bundle of a harness, which contains the bundles of all robots.
+
+    `own`: files of the programs, and the scenario. `app`, `source`: names of the program and its file, for people.
+    """
+    module, _, name = target.entry.partition(":")
+    robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
+    files = {
+        **these.common,
+        **these.target_files[target.name],
+        **{path: data for name in sorted({r[1] for r in robots}) for path, data in these.target_files[name].items()},
+        **own,
+        "__main__.py": render("main_harness.py", module=module, name=name).encode(),
         "requirements.txt": requirements(None, target, *(t for t in these.targets if t.kind == "agent")),
         "README.md": render(
-            "README_harness.md", app=program.name, source=program.path, target=target.name, summary=target.summary,
+            "README_harness.md", app=app, source=source, target=target.name, summary=target.summary,
             version=__version__, robots=robots,
         ).encode(),
     }  # fmt: skip
     for agent, contents in agents.items():
         files.update({f"agents/{agent}/{path}": data for path, data in contents.items()})
-    if fleet is not None:
-        files["scenario.json"] = as_json(_scenario(these, fleet, target))
     return finished(files)
 
 
@@ -231,15 +261,33 @@ def settings_of(app: str, fleet: Fleet, robot: FleetRobot, budget: float) -> dic
 
 
 def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, Any]:
-    by_name = {t.name: t for t in these.targets}
-    facts = _facts(these.program, fleet, _functions(these))
+    program = these.program
+    facts = _facts(program, fleet, _functions(these))
+    return scenario_of(facts, program.path, store_facts(program), _drivers(these), fleet, harness, these.targets)
+
+
+def scenario_of(
+    facts: Mapping[str, Any],
+    source: str,
+    store: Mapping[str, Any],
+    drivers: list[tuple[str, str, str]],
+    fleet: Fleet,
+    harness: Target,
+    targets: Iterable[Target],
+) -> dict[str, Any]:
+    """Return the content of a harness's `scenario.json`.
+
+    `facts`: see `facts_of`. `source`: files of the programs, for people. `store`: see `store_facts`. `drivers`: module
+    of a program, Python module and class of each driver.
+    """
+    by_name = {t.name: t for t in targets}
     return {
-        "app": these.program.name,
-        "source": these.program.path,
+        "app": facts["app"],
+        "source": source,
         **{k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")},
         "world": fleet.world.facts,
-        **store_facts(these.program),
-        "drivers": _drivers(these),
+        **store,
+        "drivers": drivers,
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
         "robots": [
             {

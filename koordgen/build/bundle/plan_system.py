@@ -19,13 +19,15 @@ from koordgen.build.bundle.plan import (
     as_json,
     facts_of,
     finished,
+    harness_bundle,
     plan,
     read_common,
     release_of,
     requirements,
+    scenario_of,
     settings_of,
 )
-from koordgen.build.bundle.port_calls import LONGEST, planner_budget
+from koordgen.build.bundle.port_calls import LONGEST, check_calls, planner_budget
 from koordgen.build.emit.program import functions_module, program_text
 from koordgen.build.emit.property import has_properties, properties_text
 from koordgen.build.emit.render import render
@@ -38,7 +40,8 @@ from koordgen.build.emit.system import (
     with_sizes,
 )
 from koordgen.fleet.manifest import Target
-from koordgen.lang.node import Node
+from koordgen.lang.diagnostics import Diagnostic
+from koordgen.lang.node import Node, replace
 from koordgen.lang.semantics.composition import System
 
 if TYPE_CHECKING:  # importing YAML costs too much for builds without a fleet file
@@ -81,12 +84,13 @@ class SystemIngredients(Node):
 def plan_system(these: SystemIngredients, wanted: Iterable[str]) -> dict[str, Files]:
     """Return bundle name -> relative path -> bytes: `fleet`, and a bundle for each robot whose target is `wanted`.
 
-    Raises NamesClash."""
+    Each harness in `wanted` has a bundle, too. Raises NamesClash."""
     if is_alone(these.system):
         only, part = these.system.applications[0], these.parts[0]
+        fleet = without_application(these.fleet, only.name)
         return plan(
             Ingredients(
-                only.program, part.source, these.targets, these.fleet, these.common, these.target_files, part.beside,
+                only.program, part.source, these.targets, fleet, these.common, these.target_files, part.beside,
                 part.params,
             ),
             wanted,
@@ -96,14 +100,72 @@ def plan_system(these: SystemIngredients, wanted: Iterable[str]) -> dict[str, Fi
     robots = {r.name: _agent(these, agents[r.target], programs, r) for r in these.fleet.robots}
     release = {RELEASE: release_of(robots)}
     chosen = set(wanted)
-    bundles = {r.name: finished(robots[r.name] | release) for r in these.fleet.robots if r.target in chosen}
+    built = {name: finished(files | release) for name, files in robots.items()}
+    bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in chosen}
     facts = facts_of(_app(these.system), _hashes(these), these.fleet)
     facts["applications"] = [
         {"name": a.name, "members": [these.fleet.robots[place].name for place in a.members]}
         for a in these.system.applications
     ]
     bundles["fleet"] = finished({"fleet.json": as_json(facts)} | release)
+    for target in these.targets:
+        if target.kind == "harness" and target.name in chosen:
+            bundles[target.name] = _harness(these, target, programs, built)
     return bundles
+
+
+def without_application(fleet: Fleet, application: str) -> Fleet:
+    """Return the fleet with the names of variables and properties as they are in a program that runs alone."""
+    prefix, world = f"{application}.", fleet.world
+    listed = world.facts.get("marker_list")
+    if listed is not None:
+        listed = {**listed, "variable": listed["variable"].removeprefix(prefix)}
+        world = replace(world, facts={**world.facts, "marker_list": listed})
+    monitors = {name.removeprefix(prefix): action for name, action in fleet.monitors.items()}
+    return replace(fleet, avoid=fleet.avoid.removeprefix(prefix), monitors=monitors, world=world)
+
+
+def _harness(these: SystemIngredients, target: Target, programs: Files, agents: dict[str, Files]) -> Files:
+    system, fleet = these.system, these.fleet
+    drivers = {driver: None for robot in fleet.robots for driver in _drivers(these, robot.pid)}
+    source = ", ".join(dict.fromkeys(a.program.path for a in system.applications))
+    facts = facts_of(_app(system), _hashes(these), fleet)
+    scenario = scenario_of(facts, source, _store_facts(system), list(drivers), fleet, target, these.targets)
+    own = {**programs, "scenario.json": as_json(scenario)}
+    for application, part in zip(system.applications, these.parts, strict=True):
+        functions = f"{functions_module(application.program)}.py"
+        if functions in part.beside:
+            own[f"{SOURCE}/{application.name}/{functions}"] = part.beside[functions]
+    return harness_bundle(these, target, fleet, own, agents, _app(system), source)
+
+
+def _store_facts(system: System) -> dict[str, Any]:
+    """Return the variables of the store and the applications, in the form of a scenario and of a trace's header.
+
+    If two applications declare a record type of one name, `records` has the fields of the last one.
+    """
+    records: dict[str, Any] = {}
+    for application in system.applications:
+        records |= {str(r.type): [[name, str(t)] for name, t in r.type.fields] for r in application.program.records}
+    return {
+        "shared": [
+            {"name": f"{application.name}.{v.name}", "kind": v.kind, "type": str(v.type)}
+            for index, application in enumerate(system.applications)
+            for v in system.own(index)
+        ],
+        "records": records,
+        "applications": [
+            {
+                "name": application.name,
+                "members": application.members,
+                "variables": {
+                    v.name: f"{system.applications[system.owner(index, v.name)].name}.{v.name}"
+                    for v in application.program.shared
+                },
+            }
+            for index, application in enumerate(system.applications)
+        ],
+    }
 
 
 def read_system_ingredients(
@@ -213,14 +275,37 @@ def _drivers(these: SystemIngredients, robot: int) -> list[tuple[str, str, str]]
     return [(name, named[name].module, named[name].name) for name in dict.fromkeys(modules) if name in named]
 
 
+def slow_calls(these: SystemIngredients) -> list[tuple[int, Diagnostic]]:
+    """Return a warning for each event whose port calls may take more than its application's part of half a round.
+
+    Each warning comes with the number of the application; see check_calls.
+    """
+    found = []
+    for index, application in enumerate(these.system.applications):
+        for robot in application.members:
+            part = these.fleet.delta * _parts_of_round(these, robot)[application.name]
+            slow = check_calls(application.program, len(application.members), part, _planner_budget(these, robot))
+            if slow:
+                found += [(index, d) for d in slow]
+                break
+    return found
+
+
 def _planner_budget(these: SystemIngredients, robot: int) -> float:
     """Return the seconds that each call of a port may take on a robot: the least of its applications."""
-    fleet, own = these.fleet, [a for a in these.system.applications if robot in a.members]
-    rest = 1.0 - sum(these.shares.get(a.name, 0.0) for a in own)
-    equal = rest / max(1, sum(a.name not in these.shares for a in own))
-    parts = [these.shares.get(a.name, equal) for a in own]
+    fleet, parts = these.fleet, _parts_of_round(these, robot)
     found = [
-        planner_budget(a.program, len(a.members), fleet.delta * part / sum(parts), fleet.planner_budget)
-        for a, part in zip(own, parts, strict=True)
+        planner_budget(a.program, len(a.members), fleet.delta * parts[a.name], fleet.planner_budget)
+        for a in these.system.applications
+        if a.name in parts
     ]
     return min(found, default=LONGEST)
+
+
+def _parts_of_round(these: SystemIngredients, robot: int) -> dict[str, float]:
+    """Return the part of the time for events that each application of a robot may use; the parts add up to 1."""
+    own = [a.name for a in these.system.applications if robot in a.members]
+    rest = 1.0 - sum(these.shares.get(name, 0.0) for name in own)
+    equal = rest / max(1, sum(name not in these.shares for name in own))
+    parts = {name: these.shares.get(name, equal) for name in own}
+    return {name: part / sum(parts.values()) for name, part in parts.items()}

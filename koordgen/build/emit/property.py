@@ -22,6 +22,7 @@ from koordgen.lang.ir.types import POINT, POSE, Type
 # Sensors with their types that a harness can measure itself, besides the position. The robot reports all others.
 _MEASURED = {"velocity": POINT, "pose": POSE}
 _AXIOM = "an axiom is assumed"
+_GUARANTEE = "a guarantee is proved, and no run judges it"
 _NOTES = '# As in program.py. Where a line says "discards the event", a formula has no value:'
 
 
@@ -41,8 +42,12 @@ class _Names(Names):
 
 
 def has_properties(program: ir.Program) -> bool:
-    """Return whether the program has properties or port assumptions; otherwise a bundle has no `properties.py`."""
-    return bool(program.properties) or any(m.assumptions for m in program.modules)
+    """Return whether the program has properties, guarantees or port assumptions.
+
+    A bundle without any has no `properties.py`.
+    """
+    guaranteed = any(export.guarantees for export in program.exports)
+    return bool(program.properties) or guaranteed or any(m.assumptions for m in program.modules)
 
 
 def properties_text(program: ir.Program, driven: Collection[str] = (), module: str = "program") -> str:
@@ -66,6 +71,8 @@ def properties_text(program: ir.Program, driven: Collection[str] = (), module: s
         _left(p.kind, p.name, p.span.line, why, names) for p in program.properties if (why := _unchecked(p, program))
     ]
     left += [_left("assume", m.name, a.span.line, why, names) for m, a in places if (why := _specs(a.formula, program))]
+    for guarantee in [g for export in program.exports for g in export.guarantees]:
+        left.append(_left("guarantee", guarantee.name, guarantee.span.line, _GUARANTEE, names))
     page.gap(2 if page.lines else 1)
     known = names.use("Known")
     page.add(f"PROPERTIES = {names.use('Properties')}(")

@@ -47,28 +47,47 @@ def left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str
 def planned(
     options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
 ) -> tuple[dict[str, dict[str, bytes]], str]:
-    """Return the bundles and the app's name. Raises Rejected, Failure.
+    """Return the bundles, and the name of the app, or of the fleet if its file names the programs.
+
+    Raises Rejected, Failure.
 
     `more`: values of params, replaced by those of the options --param. Warnings and notes are printed; for a command
     that prints one JSON document they are added to `options.collected` instead.
     """
-    from koordgen.build.pipeline import plan_file
+    from koordgen.build.pipeline import fleet_name, plan_file, plan_fleet_file
+    from koordgen.cli.base.values import is_fleet
     from koordgen.fleet.manifest import ManifestError
     from koordgen.lang.analyze.params import BadParam
 
     try:
-        given = {**more, **params(options.param)}
-        checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions)
+        if is_fleet(options.program):
+            refuse_options_of_programs(options)
+            diagnostics, bundles = plan_fleet_file(options.program, targets)
+            name = fleet_name(options.program)
+        else:
+            given = {**more, **params(options.param)}
+            checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions)
+            diagnostics, name = [(checked.source, d) for d in checked.diagnostics], checked.program.name
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:
         raise Failure(SURROUNDINGS, str(error), "the target's folder is damaged; reinstall koordgen") from None
-    diagnostics = [(checked.source, d) for d in checked.diagnostics]
     if options.format == "json" and (collected := getattr(options, "collected", None)) is not None:
         collected += diagnostics
     else:
         print_diagnostics(diagnostics, options)
-    return bundles, checked.program.name
+    return bundles, name
+
+
+def refuse_options_of_programs(options: Namespace) -> None:
+    """Raise Failure for options that concern a single program, given with a fleet file instead of a program."""
+    for option, given, help in (
+        ("--fleet", options.fleet, "name one fleet file only"),
+        ("--param", options.param, "write params into the `applications` of the fleet file"),
+        ("--functions", options.functions, "put the functions file beside its program, as PROGRAM_functions.py"),
+    ):
+        if given:
+            raise Failure(USAGE, f"{option} needs a program, but {options.program} is a fleet file", help)
 
 
 def params(given: list[str]) -> dict[str, Value]:

@@ -46,14 +46,20 @@ def dump(command: Parser) -> None:
 
 def build(command: Parser) -> None:
     """Options of `koordgen build`."""
-    _program(command)
+    _program_or_fleet(command)
     wanted = command.add_argument_group("what to build")
     targets = "targets to build for, for example quad,car (default: those of the robots in the fleet file)"
     wanted.add_argument("--target", metavar="A,B", help=targets)
     _fleet(wanted, "the fleet file (YAML): write a folder for each robot")
     _params(wanted)
     output = command.add_argument_group("output")
-    output.add_argument("-o", "--out", metavar="DIR", default="build", help="write DIR/APP/ (default: build)")
+    output.add_argument(
+        "-o",
+        "--out",
+        metavar="DIR",
+        default="build",
+        help="write DIR/APP/, or DIR/FLEET/ for a fleet file (default: build)",
+    )
     _diagnostics(output)
 
 
@@ -286,7 +292,7 @@ PASSED = ("duration", "seed", "live", "foxglove", "pace", *_NETWORK)
 
 def harness(command: Parser) -> None:
     """Options of a command that runs a harness's bundle."""
-    _program(command)
+    _program_or_fleet(command)
     run = command.add_argument_group("run")
     _fleet(run, "the fleet file (YAML) (default: one simulated robot)")
     _duration(run, "length of the mission from its first round, in seconds (default: 30)")
@@ -307,7 +313,11 @@ def harness(command: Parser) -> None:
     pace = "limit the speed in lockstep to a multiple of real time (default: no limit)"
     watch.add_argument("--pace", metavar="FACTOR", type=values.factor, help=pace)
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder for trace, summary and report (default: run-APP)")
+    output.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for trace, summary and report (default: run-APP, or run-FLEET for a fleet file)",
+    )
     later = "write no report; `koordgen report` can write it later"
     output.add_argument("--no-report", action="store_true", help=later)
     _quiet(output)

@@ -16,6 +16,7 @@ from typing import Any
 
 from koordgen.cli.base import building, console
 from koordgen.cli.base.options import PASSED
+from koordgen.cli.base.values import is_fleet
 from koordgen.fleet import manifest
 
 # Default fleet file: one robot in the middle of an empty space. Metres (local ENU), radians, seconds.
@@ -32,7 +33,10 @@ def harness(options: Namespace) -> int:
     """Build a simulation bundle, run it, and return the exit status of the run.
 
     Without a fleet file, one robot runs alone. Raises Failure."""
-    if options.fleet is not None:
+    if is_fleet(options.program) and options.follow is not None:
+        message = f"--follow needs a program, but {options.program} is a fleet file"
+        raise console.Failure(console.USAGE, message, "a counterexample of several applications cannot be run yet")
+    if options.fleet is not None or is_fleet(options.program):
         return _harness(options)
     if options.follow is not None:
         raise console.Failure(

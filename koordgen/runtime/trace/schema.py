@@ -60,9 +60,17 @@ class RobotName(msgspec.Struct, frozen=True):
 class SharedVariable(msgspec.Struct, frozen=True):
     """A shared variable of the program."""
 
-    name: str  # name of the variable in the program
+    name: str  # name of the variable in the program; of several applications, `application.variable`
     kind: str  # allread: one value for each robot; allwrite: one value for the fleet
     type: str  # type of the variable, written in Koord
+
+
+class ApplicationRecord(msgspec.Struct, frozen=True):
+    """One of several applications of a fleet."""
+
+    name: str  # name of the application in the fleet file
+    members: tuple[int, ...]  # pids of the robots that run it; a robot's pid in the application is its place here
+    variables: dict[str, str]  # shared variables of its program -> their names in `shared`
 
 
 class BoxRecord(msgspec.Struct, frozen=True):
@@ -125,7 +133,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     """First record of a merged trace: describes the run, the fleet, the world and the shared variables."""
 
     format: str  # version of the trace: koord-trace/2
-    app: str  # name of the program
+    app: str  # name of the program; of several applications their names, joined by `+`
     program_hash: str  # 16 hexadecimal digits; "": a counterexample with numbers that no robot has, such as 1/3
     delta: float  # length of a round [s]
     seed: int  # seed of the simulator's random numbers
@@ -143,6 +151,7 @@ class Header(msgspec.Struct, frozen=True, tag_field="kind", tag="header"):
     counterexample: Literal["run", "step"] | UnsetType = UNSET  # of a counterexample: begins at initial or at any state
     params: Mapping[str, Any] | UnsetType = UNSET  # only of a counterexample: values of the program's params
     given: tuple[str, ...] | UnsetType = UNSET  # only of a counterexample: params whose values the user gave
+    composition: tuple[ApplicationRecord, ...] | UnsetType = UNSET  # only of several applications: what they consist of
 
 
 class PoseRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from koordgen.runtime.trace.schema import BoxRecord, SharedVariable, WorldRecord
+from koordgen.runtime.trace.schema import ApplicationRecord, BoxRecord, SharedVariable, WorldRecord
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.base.bodies import Vector
@@ -110,6 +110,7 @@ class Scenario(msgspec.Struct, frozen=True):
     drivers: tuple[tuple[str, str, str], ...] = ()
     shared: tuple[SharedVariable, ...] = ()
     records: dict[str, tuple[tuple[str, str], ...]] = {}
+    applications: tuple[ApplicationRecord, ...] = ()  # empty: the program is the only application
     application_id: int = 0
     gui: bool = False  # True if the contact engine shows its window; set by --gui only
 

@@ -15,6 +15,7 @@ from koordgen.runtime.vehicle.drivers import Drivers
 from koordgen.runtime.vehicle.platform import Platform
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.fault_state import FaultState
+from targets.sim.base.programs import LoadedPrograms
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.follow.guide import ReplayGuide, ReplayPlatform
 from targets.sim.lockstep.agent import LockstepAgent, Shared, TraceFile
@@ -58,9 +59,10 @@ class ReplayAgent(LockstepAgent):
     def _round(self) -> int:
         return self._machine.round if self._machine is not None else 0
 
-    def _loaded(self) -> tuple[Program, Properties, Drivers]:
-        program, properties, _ = super()._loaded()
-        return self._guide.program(program, self.robot.pid, self._round), properties, {}
+    def _loaded(self) -> tuple[LoadedPrograms, Drivers]:
+        (program, properties), _ = super()._loaded()
+        assert isinstance(program, Program) and isinstance(properties, Properties), "a plan has one application"
+        return (self._guide.program(program, self.robot.pid, self._round), properties), {}
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         return ReplayPlatform(self._guide, self.robot.pid, program, self._round)

@@ -28,9 +28,9 @@ class Idle:
         self._names, self._timeout = names, timeout
         self._since = math.inf  # time of the last progress
         self._places: list[Vector] = []
-        self._values: dict[tuple[int, str], Any] = {}
-        self._last: dict[int, str] = {}  # pid -> its event or skip in the last round
-        self._stopped: set[int] = set()
+        self._values: dict[tuple[int, str, str], Any] = {}  # by pid, application and name
+        self._last: dict[int, dict[str, str]] = {}  # pid -> event or skip of each application in its last round
+        self._stopped: dict[int, set[str]] = {}  # pid -> applications that have stopped
         self._steps = 0
 
     def launched(self, run: Run) -> None:
@@ -69,29 +69,44 @@ class Idle:
     def _left(self) -> list[int]:
         """Return the pids of robots that run and have not stopped."""
         agents = self._run.conduct.agents
-        return [a.robot.pid for a in agents if a.alive and a.stopping is None and a.robot.pid not in self._stopped]
+        return [a.robot.pid for a in agents if a.alive and a.stopping is None and not self._has_stopped(a.robot.pid)]
+
+    def _has_stopped(self, pid: int) -> bool:
+        """Return whether all applications that have run on a robot have stopped."""
+        return self._stopped.get(pid, set()) >= self._last.get(pid, {"": ""}).keys()
 
     def _has_effect(self, pid: int, record: InitRecord | Round) -> bool:
         if record.stopped:
-            self._stopped.add(pid)
+            self._stopped.setdefault(pid, set()).add(record.application)
+        last = self._last.setdefault(pid, {})
         if isinstance(record, Round):
-            self._last[pid] = record.event or record.skipped or "nothing"
+            last[record.application] = record.event or record.skipped or "nothing"
+        else:
+            last.setdefault(record.application, "no round")
         has_effect = bool(record.stopped or record.actuators)
         for values in (record.locals, record.shared):
             for name, raw in values.items():
                 value = msgspec.json.decode(raw)
-                if not same(self._values.get((pid, name)), value):
-                    self._values[pid, name] = value
+                key = (pid, record.application, name)
+                if not same(self._values.get(key), value):
+                    self._values[key] = value
                     has_effect = True
         return has_effect
 
     def _report(self, at: float) -> None:
         self._timeout = 0.0  # once
         robots = tuple(self._names[pid] for pid in self._left())
-        doing = "; ".join(f"{self._names[pid]}: {self._last.get(pid, 'no round')}" for pid in self._left())
+        doing = "; ".join(f"{self._names[pid]}: {self._doing(pid)}" for pid in self._left())
         detail = f"no robot made progress for {at - self._since:.0f} s, and the program has not stopped ({doing})"
         self._run.mark(Violation(self._since, "idle", robots, detail))
         self._run.finish("idle")
+
+    def _doing(self, pid: int) -> str:
+        """Return the last event or skip of a robot; of several applications that of each."""
+        last = self._last.get(pid) or {"": "no round"}
+        if len(last) == 1:
+            return next(iter(last.values()))
+        return ", ".join(f"{application} {what}" for application, what in last.items())
 
 
 def same(a: Any, b: Any) -> bool:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from koordgen.runtime.monitor.monitor import evidence
 from koordgen.runtime.program.property import Assumption, Known, Outcome, Properties, Property, Trail, judged
 from koordgen.runtime.trace.schema import Found, Verdict, Violation
+from targets.sim.trace.store_names import qualified_name
 
 Of = Literal["invariant", "initially", "assume"]
 
@@ -27,6 +28,7 @@ class JudgedProperty:
     moving: bool  # reads positions of bodies, and so changes between rounds
     found: Properties
     n: int
+    application: str = ""  # "": the fleet has only one
     outcome: Literal["violated", "no value"] | None = None
     at: float = 0.0
     left: float | None = None
@@ -68,10 +70,10 @@ class JudgedProperty:
         judged(holds, again)
         self.at, self.outcome = at, outcome
         self.robots, self.detail = evidence(trail, names, why, known.pid)
-        word = f"{self.of} {self.name}" if self.name else self.of
+        word = " ".join(filter(None, (self.of, qualified_name(self.application, self.name))))
         verb = "has no value" if why else "does not hold"
         text = f"{word} {verb}: {self.detail}" if self.detail else f"{word} {verb}"
-        return Violation(at, "property", self.robots, text, self.name, self.line)
+        return Violation(at, "property", self.robots, text, self.name, self.line, application=self.application)
 
     def verdict(self, at: float, zero: float | None, lost: str) -> Verdict:
         """Return the verdict at the mission's end.
@@ -92,19 +94,24 @@ class JudgedProperty:
                 f"at {self.unknown} more observations not known: {self.detail}" if self.unknown else "",
             )
         since = None if since is None or zero is None else round(since - zero, 6)
-        return Verdict(at, self.of, self.name, self.line, word, since, self.robots, detail, self.observations)
+        robots, seen = self.robots, self.observations
+        return Verdict(at, self.of, self.name, self.line, word, since, robots, detail, seen, self.application)
 
 
-def all_of(found: Properties, n: int) -> list[JudgedProperty]:
-    """Return all properties and assumptions that can be evaluated, for a fleet of `n` robots."""
+def all_of(found: Properties, n: int, application: str = "") -> list[JudgedProperty]:
+    """Return all properties and assumptions that can be evaluated, for `n` robots that run an application."""
     source = found.program.source
     measured = {*found.measured, *(f"{name}'" for name in found.measured)}
     properties = [
-        JudgedProperty(p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n)
+        JudgedProperty(
+            p.kind, p.name, f"{source}:{p.line}", p, bool(measured.intersection(p.reads)), found, n, application
+        )
         for p in found.properties
     ]
     assumptions = [
-        JudgedProperty("assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n)
+        JudgedProperty(
+            "assume", a.module, f"{source}:{a.line}", a, bool(measured.intersection(a.reads)), found, n, application
+        )
         for a in found.assumptions
     ]
     return [*properties, *assumptions]

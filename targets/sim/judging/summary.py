@@ -64,7 +64,8 @@ class RobotSummary(msgspec.Struct):
     """Figures of one robot. Positions (m, local ENU) are the truth.
 
     `start`: at the beginning of the run. `final`: at the mission's end. `stop`: after landing or braking.
-    `path_length`, rounds, events, skips and faults: from round 1 to the mission's end."""
+    `path_length`, rounds, events, skips and faults: from round 1 to the mission's end. Of several applications, each
+    counts its own events, skips and faults in a round."""
 
     name: str
     pid: int
@@ -197,7 +198,7 @@ class _Tally:
         self.summary = summary
         self._delta = delta
         self._last: Vector | None = None
-        self._round = 0
+        self._round, self._application = 0, ""
 
     def add(self, record: PoseRecord | Round | Stall | LogLine, ended: bool) -> None:
         """Add a record of the robot; `ended`: the mission is over."""
@@ -248,10 +249,12 @@ class _Tally:
 
     def round(self, record: Round) -> None:
         own = self.summary
-        own.rounds += 1
-        slept = max(0, record.round - self._round - 1) if self._round else 0
-        self._round = record.round
-        own.late_rounds += slept + was_late(record, self._delta)
+        self._application = self._application or record.application
+        if record.application == self._application:  # count a round once, though each application has a record of it
+            own.rounds += 1
+            slept = max(0, record.round - self._round - 1) if self._round else 0
+            own.late_rounds += slept + was_late(record, self._delta)
+            self._round = record.round
         if record.fault is not None:
             own.faults += 1
             own.first_fault = own.first_fault or str(record.fault)

@@ -1,4 +1,4 @@
-"""Watcher: judges a program's properties over the true states of a run.
+"""Watcher: judges the properties of an application over the true states of a run.
 
 Invariants must hold at every observation, port assumptions over each round of each robot. After a robot has left the
 model (it landed by itself, died, or was removed), no property is judged on its behaviour.
@@ -9,34 +9,45 @@ meet). They are judged once all robots have recorded the next round."""
 
 from __future__ import annotations
 
-import importlib
 import math
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from koordgen.runtime.program.extern import BadExtern
-from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Properties, judged, properties_of
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.property import (
+    UNKNOWN,
+    Assumption,
+    Known,
+    Outcome,
+    Properties,
+    judged,
+)
 from koordgen.runtime.trace.schema import InitRecord, Phase, Round, TraceRecord, Verdict, ViewRecord, Violation
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
+from targets.sim.base.programs import load_programs
 from targets.sim.judging.batch import Batch
 from targets.sim.judging.judge import JudgedProperty, Of, all_of
 from targets.sim.judging.windows import Came, Windows
 from targets.sim.run.run import Run
 from targets.sim.run.run_interface import AgentHandle
+from targets.sim.trace.store_names import qualified_name
 from targets.sim.trace.truth import Truth
 
 PATIENCE = 3.0  # seconds after a round's end for which its records are awaited
 MOST_KEPT = 4800  # steps kept before round 1 begins
+GENERATED = ("program", "properties", "applications")  # modules of bundles; of applications `program_NAME`
 _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "position": lambda state: Point(*state.position),
     "velocity": lambda state: Point(*state.velocity),
@@ -45,19 +56,57 @@ _PORTS: dict[str, Callable[[BodyState], Any]] = {
 _CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "unknown": "u"}
 
 
+class WatchedApplication(NamedTuple):
+    """Application of a fleet, with its properties. `number`: see FleetProgram.applications."""
+
+    fleet: FleetProgram
+    number: int
+    properties: Properties
+
+    @property
+    def name(self) -> str:
+        """Name of the application; "" if the fleet has only one."""
+        return self.fleet.applications[self.number].name if self.fleet.is_composed else ""
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """Robots that run the application, by their pids in the fleet."""
+        return self.fleet.applications[self.number].members
+
+    @classmethod
+    def only(cls, found: Properties, robots: int) -> WatchedApplication:
+        """Return the only application of a fleet."""
+        return cls(FleetProgram.alone(found.program, robots), 0, found)
+
+
 def load(root: Path, driven: Collection[str] = ()) -> Properties:
-    """Return the properties of the sim bundle at `root`.
+    """Return the properties of the sim bundle at `root`, which has one program.
 
     `driven`: modules served by the user's own drivers."""
+    return load_fleet(root, 1, driven)[0].properties
+
+
+def load_fleet(root: Path, robots: int, driven: Collection[str] = ()) -> list[WatchedApplication]:
+    """Return all applications of the sim bundle at `root`. `driven`: modules served by the user's own drivers."""
+    with _imports_from(root):
+        program, found = load_programs(root, driven)
+        fleet = program if isinstance(program, FleetProgram) else FleetProgram.alone(program, robots)
+        for application in fleet.applications:
+            if application.program.library is not None:
+                with suppress(BadExtern):  # the robots report the error; a property that calls the library has no value
+                    application.program.library.load()
+        all_found = [found] if isinstance(found, Properties) else list(found.values())
+        return [WatchedApplication(fleet, number, own) for number, own in enumerate(all_found)]
+
+
+@contextmanager
+def _imports_from(root: Path) -> Iterator[None]:
+    """Context in which programs and properties are imported from `root`, also if those of another bundle were."""
     sys.path.insert(0, str(root))
     try:
-        for name in ("program", "properties"):  # loaded from another bundle
+        for name in [name for name in sys.modules if name.partition("_")[0] in GENERATED]:
             sys.modules.pop(name, None)
-        found = properties_of(root, importlib.import_module("program").PROGRAM, driven)
-        if found.program.library is not None:
-            with suppress(BadExtern):  # the robots report the error; a property that calls the library has no value
-                found.program.library.load()
-        return found
+        yield
     finally:
         sys.path.remove(str(root))
 
@@ -70,26 +119,37 @@ class _Observation:
 
 
 class Watcher:
-    """Companion that judges the properties of a run.
+    """Companion that judges the properties of an application in a run.
 
-    `seconds`: time of the host that judging took. With `windows`, it judges all windows of all robots, also after an
-    assumption was violated; the verdicts are the same."""
+    `names`: names of all robots. `seconds`: time of the host that judging took. With `windows`, it judges all windows
+    of all robots, also after an assumption was violated; the verdicts are the same. Without `of`, the fleet has only
+    one application. Robots are numbered by their pids in the application, unless a name says `robot`."""
 
-    def __init__(self, found: Properties, names: tuple[str, ...], delta: float, windows: Windows | None = None) -> None:
+    def __init__(
+        self,
+        found: Properties,
+        names: tuple[str, ...],
+        delta: float,
+        windows: Windows | None = None,
+        of: WatchedApplication | None = None,
+    ) -> None:
         self.seconds = 0.0
         self._windows = windows
-        self._found, self._names, self._delta, self._n = found, names, delta, len(names)
-        self._truth = Truth(found.program, self._n)
+        self._of = of or WatchedApplication.only(found, len(names))
+        self._members, self._robots = self._of.members, len(names)
+        self._found, self._delta, self._n = found, delta, len(self._members)
+        self._names = tuple([names[robot] for robot in self._members])
+        self._truth = Truth(self._of.fleet, self._of.number)
         self._known = found.fleet(self._n, None)
         self._step = found.step(self._n, None)
         self._observations: deque[_Observation] = deque()
-        self._out: dict[int, float] = {}  # pid -> time when it left the model
-        self._view = ViewRecord(0, 0, (0,) * self._n)
+        self._out: dict[int, float] = {}  # robot -> time when it left the model
+        self._view = ViewRecord(0, 0, (0,) * self._robots)
         self._began = False
         self._arrays: dict[str, NDArray[Any]] = {}  # measured arrays of the present round
-        self._stopped: set[int] = set()
+        self._stopped: set[int] = set()  # numbers of instances
         self._until = math.inf  # the mission's end: robots were told to stop safely, or all have stopped
-        self._watched = all_of(found, self._n)
+        self._watched = all_of(found, self._n, self._of.name)
         self._loops: dict[int, tuple[Violation, str]] = {}  # false loop invariants by line; with the event
 
     @property
@@ -105,23 +165,24 @@ class Watcher:
         if at <= self._until:
             if any(agent.asked_to_end for agent in self._run.conduct.agents):
                 self._until = at
-            self._observations.append(_Observation(at, states))
+            self._observations.append(_Observation(at, [states[robot] for robot in self._members]))
             if self._run.zero is None and len(self._observations) > MOST_KEPT:
                 self._observations.popleft()
         self.seconds += time.perf_counter() - began
 
     def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
         began = time.perf_counter()
-        pid = agent.robot.pid
+        robot, own = agent.robot.pid, self._of.name
         for record in records:
             match record:
                 case InitRecord() | Round():
-                    self._truth.hear(pid, record)
-                    self._note_loops(agent.robot.name, record)
+                    self._truth.hear(robot, record)
+                    if not own or record.application == own:
+                        self._note_loops(agent.robot.name, record)
                     if record.stopped:
-                        self._stopped.add(pid)
+                        self._stopped.add(self._truth.number(robot, record))
                 case Phase(phase="stopping") if not agent.asked_to_end:
-                    self._rests(pid, record.time)
+                    self._rests(robot, record.time)
                 case ViewRecord() if record.number > self._view.number:
                     self._view = record
                 case _:
@@ -138,33 +199,39 @@ class Watcher:
         for line in record.violated:
             if line not in self._loops and record.time <= self._until:
                 why = f"in {where} of {robot} it was false or had no value"
-                text, at = f"loop invariant line {line} does not hold: {why}", f"{self._found.program.source}:{line}"
-                violation = Violation(record.time, "property", (robot,), text, f"line {line}", at)
+                named, at = qualified_name(self._of.name, f"line {line}"), f"{self._found.program.source}:{line}"
+                text = f"loop invariant {named} does not hold: {why}"
+                violation = Violation(
+                    record.time, "property", (robot,), text, f"line {line}", at, application=self._of.name
+                )
                 self._loops[line] = violation, why
                 self._run.mark(violation)
 
-    def _rests(self, pid: int, at: float) -> None:
+    def _rests(self, robot: int, at: float) -> None:
         """Handle a safe stop that was not commanded.
 
-        If all robots have stopped, it is the mission's end. Otherwise the robot leaves the model."""
-        if all(p in self._stopped or p in self._out for p in range(self._n)):
+        If all instances on all robots have stopped, it is the mission's end. Otherwise the robot leaves the model."""
+        if all(i.number in self._stopped or i.robot in self._out for i in self._of.fleet.instances):
             self._until = min(self._until, at)
         else:
-            self._out.setdefault(pid, at)
+            self._out.setdefault(robot, at)
 
     def end(self, at: float) -> None:
         began = time.perf_counter()
         self._judge(lambda round_: True)
         at = min(at, self._until)
         lost = ", ".join(self._names[pid] for pid in self._lost(at))
+        application = self._of.name
         for watched in self._watched:
             self._run.mark(watched.verdict(at, self._run.zero, lost))
         for found, why in self._loops.values():
             since = None if self._run.zero is None else round(found.t - self._run.zero, 6)
-            self._run.mark(Verdict(at, "loop invariant", found.name, found.line, "violated", since, found.robots, why))
+            judged_as = Verdict(at, "loop invariant", found.name, found.line, "violated", since, found.robots, why)
+            self._run.mark(replace(judged_as, application=application))
         for left in self._found.unchecked:
             line = f"{self._found.program.source}:{left.line}"
-            self._run.mark(Verdict(at, left.kind, left.name, line, "unchecked", detail=left.why))
+            verdict = Verdict(at, left.kind, left.name, line, "unchecked", detail=left.why, application=application)
+            self._run.mark(verdict)
         self.seconds += time.perf_counter() - began
 
     def _ready(self, round_: int) -> bool:
@@ -172,10 +239,10 @@ class Watcher:
         zero = self._run.zero
         if zero is not None and self._observations[-1].at - zero > round_ * self._delta + PATIENCE:
             return True
-        return all(self._truth.last_recorded(pid) >= round_ or self._absent(pid, round_) for pid in range(self._n))
+        return all(self._truth.last_recorded(r) >= round_ or self._absent(r, round_) for r in range(self._robots))
 
-    def _absent(self, pid: int, round_: int) -> bool:
-        return pid in self._out or (self._view.members[pid] < 0 and self._view.since <= round_)
+    def _absent(self, robot: int, round_: int) -> bool:
+        return robot in self._out or (self._view.members[robot] < 0 and self._view.since <= round_)
 
     def _judge(self, ready: Callable[[int], bool]) -> None:
         """Judge all rounds whose observations are complete and whose next round is recorded."""
@@ -352,11 +419,12 @@ class Watcher:
         return [pid for pid in range(self._n) if self._is_out(pid, at)]
 
     def _is_out(self, pid: int, at: float) -> bool:
-        since = self._out.get(pid)
+        robot = self._members[pid]
+        since = self._out.get(robot)
         if since is not None and at >= since:
             return True
         zero = self._run.zero
-        removed = self._view.members[pid] < 0 and zero is not None
+        removed = self._view.members[robot] < 0 and zero is not None
         return removed and at >= (zero or 0.0) + (self._view.since - 1) * self._delta
 
     def _note(self, watched: JudgedProperty, outcome: Outcome, at: float, why: str, known: Known) -> None:

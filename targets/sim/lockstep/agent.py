@@ -23,9 +23,10 @@ from koordgen.runtime.agent.records import KEPT, Acceptor, Kept, Loaded, Locals,
 from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.net.layout import TooLarge
 from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue
+from koordgen.runtime.ops.set_up import programs_of
 from koordgen.runtime.program.extern import BadExtern
+from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program
-from koordgen.runtime.program.property import Properties, properties_of
 from koordgen.runtime.program.runner import Limit
 from koordgen.runtime.trace.schema import HEADER, TraceRecord, decoded
 from koordgen.runtime.trace.writer import Trace
@@ -33,6 +34,7 @@ from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.sim.base.bodies import DirectlyDriven
+from targets.sim.base.programs import LoadedPrograms, load_programs
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.lockstep.bundle_modules import BundleModules
 from targets.sim.lockstep.time_shares import TimeShares
@@ -170,16 +172,18 @@ class LockstepAgent(AgentHandle):
         try:
             with self._own:
                 settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
-                program, properties, drivers = self._loaded()
-                platform = self._embodied(actor, settings, program)
-                self._platform = with_drivers(platform, program, drivers)
+                (program, properties), drivers = self._loaded()
+                programs = _programs(program, robot.pid)
+                whole = program.of(robot.pid) if isinstance(program, FleetProgram) else program
+                platform = self._embodied(actor, settings, whole)
+                self._platform = with_drivers(platform, whole, drivers)
                 self._transport = shared.network.transport(robot.pid)
                 self._machine = Machine(
                     program, settings, shared.key, self._platform, shared.clock, self._transport,
                     Trace(self._out, self._warn), self._emit, self._dice.randbytes(8), self._store,  # type: ignore[arg-type]
                     monitors=self.monitors, limit=shared.limit, properties=properties,
                 )  # fmt: skip
-                if program.library is None and not drivers and self._own.idle:
+                if all(p.library is None for p in programs) and not drivers and self._own.idle:
                     self._inside = nullcontext()
         except (BadSettings, TooLarge, BadExtern) as error:
             self._fail(str(error), WRONG_PROGRAM)
@@ -196,9 +200,9 @@ class LockstepAgent(AgentHandle):
         """Open the trace's file. Raises OSError."""
         return TraceFile(self.trace_file.open("ab"), self._shared.shares)
 
-    def _loaded(self) -> tuple[Program, Properties, Drivers]:
-        """Return program, properties and drivers of the robot's bundle."""
-        return _loaded(self._shared.scenario, self._shared.root / self.robot.bundle)
+    def _loaded(self) -> tuple[LoadedPrograms, Drivers]:
+        """Return programs with their properties, and drivers, of the robot's bundle."""
+        return _loaded(self._shared.scenario, self._shared.root / self.robot.bundle, self.robot.pid)
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         """Return the platform of the device if it has one, otherwise that of the target."""
@@ -363,15 +367,23 @@ class LockstepAgent(AgentHandle):
             self._log.close()
 
 
-def _loaded(scenario: Scenario, bundle: Path) -> tuple[Program, Properties, Drivers]:
+def _loaded(scenario: Scenario, bundle: Path, pid: int) -> tuple[LoadedPrograms, Drivers]:
     """Return what the bundle's `__main__.py` loads. Call within BundleModules.
 
     Raises BadExtern and whatever imports raise."""
-    program: Program = importlib.import_module("program").PROGRAM
-    properties = properties_of(bundle, program)
-    if program.library is not None:
-        program.library.load()
+    loaded = load_programs(bundle)
+    for program in _programs(loaded[0], pid):
+        if program.library is not None:
+            program.library.load()
+    modules = {port.name.partition(".")[0] for program in _programs(loaded[0], pid) for port in program.ports}
     drivers: dict[str, Callable[[], Any]] = {
-        served: getattr(importlib.import_module(module), member) for served, module, member in scenario.drivers
+        served: getattr(importlib.import_module(module), member)
+        for served, module, member in scenario.drivers
+        if served in modules or not scenario.applications
     }
-    return program, properties, drivers
+    return loaded, drivers
+
+
+def _programs(program: Program | FleetProgram, pid: int) -> tuple[Program, ...]:
+    """Return the programs of a robot."""
+    return (program,) if isinstance(program, Program) else programs_of(program, pid)

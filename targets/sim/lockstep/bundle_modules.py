@@ -30,7 +30,7 @@ class BundleModules:
         self._count = 0
         self._hidden: dict[str, ModuleType] = {}
         self._streams = sys.stdout, sys.stderr
-        self.idle = self._names <= {"program", "properties"}  # no user code: nothing to switch after loading
+        self.idle = self._names <= _generated(bundle)  # no user code: nothing to switch after loading
 
     def __enter__(self) -> None:
         sys.path.insert(0, self._path)
@@ -52,6 +52,13 @@ class BundleModules:
         self._hidden.clear()
         if self._path in sys.path:
             sys.path.remove(self._path)
+
+
+def _generated(bundle: Path) -> set[str]:
+    """Return the names of the generated modules that a bundle may have. `source` has a folder for each application."""
+    applications = [folder.name for folder in (bundle / "source").glob("*")]
+    programs = [f"{module}_{name}" for module in ("program", "properties") for name in applications]
+    return {"program", "properties", "applications", "source", *programs}
 
 
 def _clock_module(clock: Callable[[], float], today: Callable[[], float]) -> ModuleType:

@@ -17,8 +17,8 @@ from typing import Any
 import msgspec
 
 from koordgen.runtime.agent.process import main
-from koordgen.runtime.program.property import properties_of
 from targets.sim.base.bodies import BodyCommand, BodyState, Vector
+from targets.sim.base.programs import load_programs
 
 _encode, _decode = msgspec.msgpack.Encoder().encode, msgspec.msgpack.Decoder(tuple[Vector, Vector, float, float]).decode
 
@@ -70,8 +70,7 @@ def run(argv: list[str]) -> int:
     platform, port, bundle, drivers, *options = argv
     module, _, member = platform.partition(":")
     make: Callable[..., Any] = getattr(importlib.import_module(module), member)
-    program = importlib.import_module("program").PROGRAM
-    properties = properties_of(Path(bundle), program)
+    program, properties = load_programs(Path(bundle))
     found = {
         served: getattr(importlib.import_module(name), cls)
         for served, name, cls in msgspec.json.decode(drivers, type=list[tuple[str, str, str]])

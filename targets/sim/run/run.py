@@ -291,9 +291,9 @@ class Run:
         for name, (at, failure) in self._failed.items():
             marks.append(Violation(t(at), "ended", (name,), failure))
         for pid, agent in enumerate(self.conduct.agents):
-            fault = agent.first_fault
-            if fault is not None:
-                marks.append(Violation(t(fault.time), "fault", (agent.robot.name,), agent.fault_text()))
+            for application, first in agent.first_faults.items():
+                named, who = application if self.scenario.applications else "", (agent.robot.name,)
+                marks.append(Violation(t(first.time), "fault", who, str(first.fault), application=named))
             ended_itself = agent.robot.name not in self._failed and not agent.crashed
             if ended_itself and not self.scene.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"

@@ -37,7 +37,7 @@ class AgentHandle(ABC):
         self.stopping: Phase | None = None  # the beginning of a safe stop that was not commanded
         self.round = 0
         self.events = 0
-        self.first_fault: Round | None = None
+        self.first_faults: dict[str, Round] = {}  # the first fault of each application
         self.first_round_start: float | None = None  # start of round 1
         self.last_error = ""
         # Callbacks. In lockstep each is called with every round's record once it is committed; in real time use `look`.
@@ -131,7 +131,7 @@ class AgentHandle(ABC):
                     self.first_round_start = record.time - record.late - (record.round - 1) * self._delta
                 self.round = record.round
                 if record.fault is not None:
-                    self.first_fault = self.first_fault or record
+                    self.first_faults.setdefault(record.application, record)
                 elif record.event is not None:
                     self.events += 1
             case LogLine(level="error"):
@@ -154,9 +154,6 @@ class AgentHandle(ABC):
         except OSError:
             return []
         return [line for line in text.splitlines() if line.strip()][-count:]
-
-    def fault_text(self) -> str:
-        return str(self.first_fault.fault) if self.first_fault else ""
 
 
 WorldStep = Callable[[float], None]  # one step of the world, at a time of the run's clock

@@ -34,6 +34,7 @@ from koordgen.runtime.trace.schema import (
     format_of,
 )
 from targets.sim.base.bodies import BodyState
+from targets.sim.trace.store_names import StoreNames
 
 LATE = 0.5  # share of delta: a round decided later than this is late
 MOST_AT_ONCE = 1 << 20  # bytes of one file per call
@@ -142,9 +143,8 @@ def time_of(line: bytes) -> float | None:
 def _mark_records(marks: list[Mark], application: str) -> Iterator[tuple[float, bytes]]:
     for mark in sorted(marks, key=lambda m: m.t):
         if isinstance(mark, Verdict) or (isinstance(mark, Violation) and mark.what in OF_EVENTS):
-            yield mark.t, encoded(msgspec.structs.replace(mark, application=application))
-        else:
-            yield mark.t, encoded(mark)
+            mark = msgspec.structs.replace(mark, application=mark.application or application)
+        yield mark.t, encoded(mark)
 
 
 def _pose_records(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
@@ -181,12 +181,15 @@ def _agent_records(path: Path, zero: float, pid: int) -> Iterator[tuple[float, b
 def read(path: Path) -> tuple[Header, Iterator[TraceRecord]]:
     """Return a merged trace's header, and its other records in order, without unknown kinds.
 
-    Raises BadTrace, also during iteration."""
+    Records of several applications have the names of the store; see StoreNames. Raises BadTrace, also during
+    iteration."""
     found = lines(path)
     _, _, header = next(found)
     if not isinstance(header, Header):
         raise BadTrace(f"{path}: the header is that of a robot's own trace, not of a run's")
-    return header, (record for _, _, record in found if record is not None and not isinstance(record, RobotHeader))
+    names = StoreNames(header)
+    kept = (record for _, _, record in found if record is not None and not isinstance(record, RobotHeader))
+    return header, (names.of(record) for record in kept)
 
 
 def lines(path: Path) -> Iterator[tuple[int, bytes, TraceRecord | RobotHeader | None]]:

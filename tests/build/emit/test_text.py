@@ -21,9 +21,10 @@ from koordgen.runtime.program.program import Effects, Fault
 from koordgen.runtime.program.property import Properties, without_properties
 from tests.agree.programs import random_program
 from tests.build.emit.generated import MOTION, _module, checked, frame, load, step
+from tests.programs import programs_alone
 
 ROOT = Path(__file__).parents[3]
-EXAMPLES = sorted(ROOT.glob("examples/*/*.koord"))
+EXAMPLES = programs_alone()
 ALL = [*EXAMPLES, ROOT / "templates/new/program.koord", ROOT / "tests/golden/kitchen/kitchen.koord"]
 
 

@@ -26,6 +26,7 @@ from tests.agree.faults import rewritten
 from tests.agree.formulas import with_formulas
 from tests.lang.check.sound import TEXT
 from tests.lang.ir.everything import nodes
+from tests.programs import programs_alone
 
 ROOT = Path(__file__).parents[3]
 DIGESTS = Path(__file__).parent / "digests.txt"
@@ -98,7 +99,7 @@ def test_tags_and_words_are_one_to_one() -> None:
 
 
 def programs() -> dict[str, decl.Program]:
-    files = [*sorted(ROOT.glob("examples/*/*.koord")), KITCHEN]
+    files = [*programs_alone(), KITCHEN]
     found = {str(path.relative_to(ROOT)): check_file(str(path)).program for path in files}
     connected = {"EXPORTER": compiled(EXPORTER), "IMPORTER": compiled(IMPORTER)}
     return {**found, "tests/lang/check/sound.py": compiled(TEXT), **connected}

@@ -26,13 +26,14 @@ from koordgen.lang.syntax.parse import parse
 from tests.agree.both import answer, key, outside
 from tests.agree.kinds import random_value
 from tests.lang.test_lang import CASES
+from tests.programs import programs_alone
 
 ROOT = Path(__file__).parents[3]
 PAGES = [ROOT / "docs/reference/language.md", *sorted((ROOT / "koordgen/lang/explain").glob("*.md"))]
 
 
 def texts() -> Iterator[tuple[str, str]]:
-    for path in sorted((ROOT / "examples").glob("*/*.koord")):
+    for path in programs_alone():
         yield path.name, path.read_text(encoding="utf-8")
     for case in CASES:
         yield case.name, case.text

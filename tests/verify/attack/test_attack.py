@@ -13,11 +13,12 @@ from koordgen.verify.attack.attack import attack
 from koordgen.verify.attack.judge import ENVIRONMENT, INIT, WELL_DEFINED, ReplayedTrial, TrialJudge
 from koordgen.verify.prove.smt import term
 from koordgen.verify.prove.smt.solve import Limits, Solver
+from tests.programs import programs_alone
 from tests.verify.attack.faults import FAULTS, attacked, broken, ticks
 from tests.verify.prove.battery.battery import BATTERY
 from tests.verify.prove.proving import checked
 
-EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*/*.koord"))
+EXAMPLES = programs_alone()
 
 
 @pytest.fixture(scope="module")

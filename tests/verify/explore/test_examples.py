@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.programs import programs_alone
 from tests.verify.explore.mutants import EXAMPLES, MUTANTS
 from tests.verify.explore.test_mutants import searched, surrounded
 
@@ -56,7 +57,7 @@ def holds(example: str, env: str, tmp_path: Path, n_sys: int = 3) -> None:
 
 
 def test_no_example_is_left_out() -> None:
-    found = {str(p.relative_to(EXAMPLES).with_suffix("")) for p in EXAMPLES.glob("*/*.koord")}
+    found = {str(p.relative_to(EXAMPLES).with_suffix("")) for p in programs_alone()}
     assert found == set(QUICK) | set(LONG) | ENDLESS
 
 

@@ -15,6 +15,7 @@ from koordgen.verify.explore.environment import Environment, EnvironmentSteps, p
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
 from koordgen.verify.explore.search import ExplorationResult, Search
+from tests.programs import programs_alone
 from tests.verify.explore.mutants import EXAMPLES, MUTANTS, Mutant
 
 N_SYS = 3
@@ -58,6 +59,6 @@ def test_a_mutant_is_caught_by_a_shortest_run(mutant: Mutant, tmp_path: Path) ->
 
 
 def test_there_are_enough_of_each_kind() -> None:
-    examples = {path.parent.name for path in EXAMPLES.glob("*/*.koord")}
+    examples = {path.parent.name for path in programs_alone()}
     assert len(MUTANTS) >= 20 and {Path(m.program).parts[0] for m in MUTANTS} == examples
     assert len({m.name for m in MUTANTS}) == len(MUTANTS)

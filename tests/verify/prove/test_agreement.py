@@ -21,9 +21,10 @@ from koordgen.verify.prove.report.model import exact_state, failing_conjunct, is
 from koordgen.verify.prove.report.reach import CounterexampleRun
 from koordgen.verify.prove.report.verdict import Question, prove
 from koordgen.verify.prove.smt.solve import CrossCheck, Limits, Solver
+from tests.programs import programs_alone
 from tests.verify.explore.random_programs import program
 
-EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*/*.koord"))
+EXAMPLES = programs_alone()
 
 
 def checked(tmp_path: Path, text: str) -> Program:

@@ -12,11 +12,12 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.ir.decl import Program
 from koordgen.verify.prove.obligations.count import expected
 from koordgen.verify.prove.obligations.generate import obligations
+from tests.programs import programs_alone
 from tests.verify.prove.battery.battery import BATTERY
 from tests.verify.prove.proving import checked
 from tests.verify.prove.randomly.programs import program as random_program
 
-EXAMPLES = sorted(Path(__file__).parents[3].glob("examples/*/*.koord"))
+EXAMPLES = programs_alone()
 LOOPS = """
 param int n = 3
 allread: int x[N_SYS]

@@ -13,6 +13,7 @@ import msgspec
 from koordgen.runtime.trace.schema import Header, InitRecord, Phase, PoseRecord, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.run_interface import AgentHandle
+from targets.sim.trace.store_names import StoreNames
 
 if TYPE_CHECKING:
     from targets.sim.run.run import Run
@@ -25,6 +26,7 @@ class Feed(ABC):
 
     def __init__(self, header: Header) -> None:
         self._header = header
+        self._stored = StoreNames(header)
         self._names = [robot.name for robot in header.robots]
         self._steps = 0
         self._marks_sent = 0  # number of the run's marks passed on
@@ -81,7 +83,7 @@ class Feed(ABC):
         for record in records:
             if not isinstance(record, (Header, Violation)) and hasattr(record, "pid"):
                 own = msgspec.structs.replace(record, pid=agent.robot.pid)
-                self._add(own, self._t(getattr(record, "time", 0.0)))
+                self._add(self._stored.of(own), self._t(getattr(record, "time", 0.0)))
 
     def end(self, at: float) -> None:
         """See Companion."""
@@ -118,7 +120,7 @@ class Feed(ABC):
                 self._violation(at, "collision", (i,), f"touched obstacle {number}")
         marks = self._run.marks
         for mark in marks[self._marks_sent :]:
-            self._add(mark, self._t(mark.t))
+            self._add(self._stored.of(mark), self._t(mark.t))
         self._marks_sent = len(marks)
 
     def _new(self, what: str, who: tuple[int, int]) -> bool:

@@ -29,6 +29,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 
 from koordgen.runtime.trace.schema import (
     Cause,
@@ -76,6 +77,7 @@ class Rows:
         self._markers = Markers(header)
         self._slots = {v.name for v in header.shared if v.kind == "allread"}
         self._begun: set[str] = set()  # variables whose first value is known
+        self._composed = header.composition is not UNSET
 
     def taken(self) -> Chunk:
         """Return the rows since the last call, by table."""
@@ -146,12 +148,22 @@ class Rows:
             outcome, what = SKIPPED, record.skipped
         else:
             outcome, what = EVENT, record.event or ""
-        self._add("rounds", [record.pid, t, t, 1, outcome, what])
+        row, before = [record.pid, t, t, 1, outcome, what], self._same_round(record.pid, t)
+        if before is None:
+            self._add("rounds", row)
+        else:
+            before[4:] = _together(before, row)
         if record.restored is not None:
             for name, raw in record.restored.locals.items():
                 self._add("locals", [record.pid, t, record.restored.round, name, _decoder.decode(raw)])
         self._writes(record, record.round, t)
-        self._lateness(record, t)
+        if before is None:
+            self._lateness(record, t)
+
+    def _same_round(self, pid: int, t: float) -> list[Any] | None:
+        """Return the row of another application of the robot for the same round, or None."""
+        rows = self._chunk.get("rounds") if self._composed else None
+        return rows[-1] if rows and rows[-1][0] == pid and rows[-1][1] == t else None
 
     def _first_values(self, record: Round, t: float) -> None:
         """Add rows for values that nobody has written yet, from the first recorded copy of the store."""
@@ -237,6 +249,15 @@ class _Nearest:
         if math.isnan(apart[k]):
             return None
         return [t, _small(float(apart[k])), int(self._left[k]), int(self._right[k])]
+
+
+def _together(a: list[Any], b: list[Any]) -> list[Any]:
+    """Return outcome and text of a round in which two applications of a robot have these rows of `rounds`.
+
+    A fault counts more than an event, and an event more than a skip."""
+    if a[4] == b[4]:
+        return [a[4], a[5] if b[5] in a[5].split(", ") else f"{a[5]}, {b[5]}"]
+    return (a if (a[4] == FAULT or b[4] == SKIPPED) else b)[4:]
 
 
 def _small(metres: float) -> float:

@@ -1,0 +1,32 @@
+"""Programs of a bundle: its only program, or the applications of its fleet, with their properties."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Collection
+from pathlib import Path
+
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.program.property import Properties, properties_of, without_properties
+
+# As an agent takes them: a program with its properties, or applications with the properties of each by its name.
+LoadedPrograms = tuple[Program, Properties] | tuple[FleetProgram, dict[str, Properties]]
+
+
+def load_programs(bundle: Path, driven: Collection[str] = ()) -> LoadedPrograms:
+    """Import the programs of a bundle, whose folder must be first in `sys.path`.
+
+    `driven`: modules that the user's drivers serve. Raises whatever imports raise."""
+    if not (bundle / "applications.py").is_file():
+        program: Program = importlib.import_module("program").PROGRAM
+        return program, properties_of(bundle, program, driven)
+    fleet: FleetProgram = importlib.import_module("applications").FLEET
+    found = {}
+    for application in fleet.applications:
+        module = f"properties_{application.name}"
+        is_there = (bundle / f"{module}.py").is_file()
+        found[application.name] = (
+            importlib.import_module(module).PROPERTIES if is_there else without_properties(application.program, driven)
+        )
+    return fleet, found
