@@ -82,7 +82,7 @@ class AttackReport(NamedTuple):
     def of(self, step: str, invariant: str) -> tuple[int, str]:
         """Return the number of states in which an invariant was evaluated after a step.
 
-        If the number is 0, also return the reason; otherwise "" in its place."""
+        Also return the reason why the number is 0, or "" if the number is not 0."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -144,8 +144,8 @@ def attack(
     `params`: values of params that are fixed; all other params may have any value.
     `solver`: SMT solver that provides states; None to attack without a solver.
     `seconds`: time budget on `clock`.
-    `clock`: CPU time by default. To CPU time, the time spent waiting for the solver is added; to another clock, nothing
-        is added.
+    `clock`: clock of the budget, CPU time by default. If the clock measures CPU time, the attack adds the seconds
+        that it waited for the solver.
     `seed`: seed of all random choices."""
     began = clock()
     if robots is not None and robots > FLEETS[-1]:
@@ -214,7 +214,7 @@ class _AttackSearch:
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
         self.runs: dict[str, int] = {}  # event name -> number of runs of the event
-        self.tried: dict[str, int] = {}  # step -> assumed number of its runs from states of the solver
+        self.tried: dict[str, int] = {}  # step -> assumed number of the step's runs from solver states
         self.spent = False
         self.units = 0
         # (number of judged states, number of units of work) when the attack last found a new state

@@ -173,7 +173,7 @@ def _is_readable(type_: Type) -> bool:
 class _Hypotheses:
     """Encoded conditions on a state (invariants, guard), and the reader of the solver's answers.
 
-    `useless`: true after a query without random conditions found no state."""
+    `useless`: True if even a query without random conditions found no state, so more queries are useless."""
 
     def __init__(self, obligation: Obligation) -> None:
         self.obligation = obligation
