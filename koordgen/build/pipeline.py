@@ -95,8 +95,8 @@ def check_file(path: str) -> Checked:
 def check_alone(program: Program) -> list[Diagnostic]:
     """Report each import and each guarantee of a program.
 
-    A program that runs alone has no exporter. No tool but the check knows guarantees, so a program with guarantees is
-    refused instead of leaving them unproved without a word.
+    A program that runs alone has no exporter to import from. Only `koordgen check` supports guarantees, so other
+    commands refuse a program with guarantees: otherwise its guarantees would stay unproved without notice.
     """
     only = "cannot be built, proved or explored yet, only checked"
     help = "remove the import, and declare its variables in this program"
@@ -279,7 +279,7 @@ def _read_fleet(
 
 
 def _folders(*paths: str) -> list[Path]:
-    """Return the folders of files, each once, in their order."""
+    """Return the folders of the given files, without repetitions, in the order of the files."""
     from pathlib import Path
 
     return list(dict.fromkeys(Path(path).parent for path in paths))
@@ -368,7 +368,7 @@ def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChec
         possible = f"; possible positions: {', '.join(places)}" if places else ""
         return f"marker_list.variable is {name!r}: there is no shared list {name} {field}{possible}"
 
-    @cache  # most robots name the same class, and each inspection starts a process
+    @cache  # inspect a class once: most robots name the same class, and an inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
         driver, folders_ = DriverClass(module, name), list(folders)
         return next(filter(None, (own_class(driver, methods, p, folders_) for p in programs.values())), "")

@@ -131,7 +131,7 @@ class Traffic(Node):
     """
 
     robots: int
-    receivers: int  # of each robot's datagrams; 1 if one datagram reaches all robots
+    receivers: int  # number of copies of each datagram of a robot; 1 if one datagram reaches all robots
     writes: int
     datagrams: int
     entry: int

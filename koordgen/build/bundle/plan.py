@@ -27,7 +27,7 @@ Files = dict[str, bytes]
 # File in each bundle of a fleet with the name of its release. An agent ignores agents of other releases.
 RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest
 ZENOH = "eclipse-zenoh>=1.10"
-# In every bundle and in every run's folder: source and params, which a replay of traces needs.
+# Files in every bundle and every run's folder: the source and the params, which a replay of traces needs.
 SOURCE, PARAMS = "source", "params.json"
 
 

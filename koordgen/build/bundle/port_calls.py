@@ -14,10 +14,10 @@ from koordgen.lang.ir.types import MapOf, PerRobot, Sequence
 from koordgen.lang.node import Node
 
 SHORTEST, LONGEST = 0.01, 0.06  # seconds: bounds of the default of `planner_budget`
-SHARE = 0.4  # of a round, for all calls of one event together; an event ends by 0.5 and has other work, too
+SHARE = 0.4  # share of a round for all port calls of one event; the event must end by 0.5 and has other work, too
 
 Calls = list[tuple[expr.PortCall, float]]  # each call with the greatest number of times that an event makes it
-_AS_LONG = ("sorted", "reversed", "keys", "values", "items")  # results are as long as the argument
+_AS_LONG = ("sorted", "reversed", "keys", "values", "items")  # functions whose result is as long as the argument
 
 
 def check_calls(program: Program, robots: int, delta: float, budget: float) -> list[Diagnostic]:

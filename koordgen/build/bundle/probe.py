@@ -51,7 +51,7 @@ def _main(file: str, root: str, package: str, names: list[str]) -> None:
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses need the entry
+    sys.modules[spec.name] = module  # the module `dataclasses` needs this entry of `sys.modules`
     try:
         spec.loader.exec_module(module)
         found: dict[str, Any] = {"offers": {name: _described(getattr(module, name, None)) for name in names}}

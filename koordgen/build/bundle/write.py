@@ -32,7 +32,7 @@ class Foreign(CannotWrite):
 
 
 def sums(files: Mapping[str, bytes]) -> bytes:
-    """Return the content of SHA256SUMS for these files. `sha256sum -c` reads it, and takes MARK for a comment."""
+    """Return the content of SHA256SUMS for the files. `sha256sum -c` reads the line MARK as a comment."""
     lines = [f"{sha256(data).hexdigest()}  {path}\n" for path, data in sorted(files.items())]
     return "".join([f"{MARK}\n", *lines]).encode()
 
@@ -146,7 +146,7 @@ def _must_be_ours(folder: Path) -> bytes | None:
         return None
     strange = sorted(path for path in found if path != SUMS and path not in known)
     if not known and SUMS in found:
-        strange = [SUMS]  # the user's own, or of an earlier version of koordgen
+        strange = [SUMS]  # SHA256SUMS was written by the user or by an earlier version of koordgen
     changed = sorted(p for p in known if p in found and sha256(found[p].read_bytes()).hexdigest() != known[p])
     for paths, what in ((strange, "not written by koordgen"), (changed, "changed since koordgen wrote it")):
         if paths:

@@ -34,7 +34,7 @@ _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
 # Builtins that compare their arguments, or parts of them. `clear` and `path_distance` check for NaN themselves.
 _COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
-# Builtins that iterate over their arguments, as those of _COMPARING do.
+# Builtins that iterate over their arguments. Builtins in _COMPARING iterate over theirs, too.
 _SEARCHING = ("sum", "union", "intersection", "difference")
 
 
@@ -100,7 +100,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if strength == own:
                 return longer(shown, last), own
             return chain(shown if strength > own else brackets("(", [shown], ")"), last), own
-        case ir.Compare(op, left, right) if left.type == STRING:  # strings of any length: no longer than a turn
+        case ir.Compare(op, left, right) if left.type == STRING:  # takes at most a turn for any length
             return _infix(_within(left, names, _SUM), op, _within(right, names, _SUM)), _COMPARE
         case ir.Compare(op, left, right):
             return _infix(_compared(left, names), op, _compared(right, names)), _COMPARE

@@ -106,7 +106,7 @@ def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
         case "+" if isinstance(left.type, SequenceOf):
             return max(first, second)
         case "/" if left.type == INT and right.type == INT:
-            return FINITE  # an overflow raises
+            return FINITE  # an overflow raises an exception
         case "+" | "-" | "/":
             return _NUMBER_UNLESS_TWICE[first + second]
         case "*" if first + second == NUMBER and not (is_nonzero_literal(left) or is_nonzero_literal(right)):
@@ -115,7 +115,7 @@ def _of_operator(op: str, left: ir.Expr, right: ir.Expr, known: Kinds) -> int:
             return _NUMBER_UNLESS_TWICE[first + second]
         case "//":
             return NUMBER if first + second == FINITE else ANY
-        case _:  # %, and **, which raises for an overflow
+        case _:  # the operators % and **; ** raises for an overflow
             return FINITE if first + second == FINITE else ANY
 
 
@@ -132,9 +132,9 @@ def is_nonzero_literal(node: ir.Expr) -> bool:
 def _of_builtin(name: str, args: tuple[ir.Expr, ...], known: Kinds) -> int:
     worst = _worst(args, known)
     match name:
-        case "min" | "max" | "sorted":  # they compare, so they raise for NaN
+        case "min" | "max" | "sorted":  # functions that compare their arguments, so they raise for NaN
             return min(worst, NUMBER)
-        case "path_distance":  # it raises for NaN
+        case "path_distance":  # the operation raises for NaN
             return NUMBER
         case "sum":
             return NUMBER if worst == FINITE else ANY

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 WIDTH = 100  # columns of a generated line; a part that cannot be broken may exceed it
 STEP = "    "
-_DEEPEST = 12  # levels of broken brackets: each may add a pair, and Python reads at most 200 nested ones
+_DEEPEST = 12  # most nested brackets that are broken; a level may add a pair, and Python reads at most 200
 
 
 class _Code(str):
@@ -28,21 +28,21 @@ class _Code(str):
 
 
 class _Brackets(_Code):
-    """Text up to an opening bracket, parts, and a closing bracket."""
+    """Bracketed code: text that ends with an opening bracket, the parts inside, and a closing bracket."""
 
     __slots__ = ("comma", "dense")
-    comma: bool  # if broken, each part ends with a comma
-    dense: bool  # if broken, a line has as many parts as fit
+    comma: bool  # if the text is broken into lines, each part ends with a comma
+    dense: bool  # if the text is broken into lines, a line has as many parts as fit
 
 
 class _Chain(_Code):
-    """Operands, each with the operator before it; between brackets each may have a line of its own."""
+    """Operands, each with the operator before it. Inside brackets, each operand may have its own line."""
 
     __slots__ = ()
 
 
 class _Sequence(_Code):
-    """Adjacent parts; a line may be broken inside a part, never between two parts."""
+    """Adjacent parts of code. A line may be broken inside a part, never between two parts."""
 
     __slots__ = ()
 
@@ -50,7 +50,8 @@ class _Sequence(_Code):
 def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = False) -> str:
     """Return `f(a, b)`, `(a, b)` or `[a, b]`.
 
-    `opening`: the text up to and with the opening bracket. `dense`: if it is broken, a line has as many items as fit.
+    `opening`: the text that ends with the opening bracket.
+    `dense`: if the text is broken into lines, each line has as many items as fit.
     """
     if not items:
         return f"{opening}{closing}"
@@ -91,7 +92,7 @@ def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
 
 
 def joined(*parts: str) -> str:
-    """Return the parts, concatenated without spaces."""
+    """Return code that consists of the given parts without spaces between them."""
     text = "".join(parts)
     if not any(isinstance(part, _Code) for part in parts):
         return text
@@ -107,7 +108,7 @@ class Page:
         self.lines: list[tuple[str, int]] = []
 
     def add(self, code: str = "", indent: str = "", line: int = 0) -> None:
-        """Add code, broken into as many lines as needed. A comment in the first one names `line`."""
+        """Add code, broken into as many lines as needed. A comment in the first line names the line `line`."""
         mark = f"  # line {line}" if line else ""
         if len(indent) + len(code) + len(mark) <= WIDTH:
             self.lines.append((f"{indent}{code}{mark}" if code else "", line))

@@ -43,8 +43,9 @@ _CHANGES = (
     "set_with", "set_without",
 )  # fmt: skip
 _SORTED = ("set_of", "map_of", "map_at", "map_get", "keys", "values", "has_key", "union", "intersection", "difference")
-# Names, and marks of operators (`expr.py`); an example and its explanation, for modules that use one of them. The
-# texts stand in generated code, so they are short. "Discards the event": the whole event has no effect.
+# Each note: names of functions or marks of operators (see `expr.py`), an example, and an explanation. A generated
+# module contains the notes of the names that it uses, so notes are short.
+# "Discards the event" means that the whole event has no effect.
 _NOTES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("+",), "a + b", "of ints has no overflow; more than 64 bits in a variable discard the event"),
     (("//", "%"), "a // b, a % b", "round down, also below 0: -7 // 2 is -4, and -7 % 2 is 1"),

@@ -97,25 +97,25 @@ class Names:
         return name
 
     def attempt(self) -> Names:
-        """Return the same names with their own record of used names, for text that may not be emitted in the end."""
+        """Return a copy with an empty record of used names, for generated text that may be dropped later."""
         made = copy.copy(self)
         made.used = set()
         return made
 
     def within(self, floats: Mapping[Place, int]) -> Names:
-        """Return the same names for a block; `floats`: the kinds of floats that its places may hold."""
+        """Return a copy of the names for a block. `floats`: kinds of floats that the block's variables may hold."""
         made = copy.copy(self)
         made.floats = floats
         return made
 
     @staticmethod
     def temp(name: str) -> str:
-        """Return the name of a variable declared in an event or function; it is unique there, as is the prefix."""
+        """Return the Python name of a temporary, whose name and prefix are unique in its event or function."""
         return f"my_{name}"
 
 
 def _free(wanted: str, taken: set[str]) -> str:
-    """Return `wanted`, with a number if it is taken; `x` comes before an underscore, which is special in Python."""
+    """Return `wanted`, with a number appended if the name is taken, and an `x` before a leading underscore."""
     wanted = f"x{wanted}" if wanted.startswith("_") else wanted
     name, number = wanted, 2
     while name in taken:

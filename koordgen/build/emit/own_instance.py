@@ -19,7 +19,7 @@ from koordgen.lang.node import Node
 
 
 class _Possible(NamedTuple):
-    """Possible truth values of a formula; none if it needs an unknown value in every case."""
+    """Possible truth values of a formula. Both fields are False if every evaluation needs an unknown value."""
 
     be_true: bool
     be_false: bool
@@ -29,7 +29,11 @@ _UNKNOWN, _ANY = _Possible(False, False), _Possible(True, True)
 
 
 def is_own_instance_enough(node: ir.Quantified) -> bool:
-    """Return whether no other robot's instance of a `forall` can be false here, and at least one cannot be true."""
+    """Return whether a robot may evaluate only its own instance of a `forall` over `ID`.
+
+    True if an instance for another robot can never be false, and can never be true if no other name in the formula
+    denotes that robot.
+    """
     if node.kind != "forall" or not isinstance(node.domain, ir.Ids):
         return False
     return not _possible(node.body, node.name, True).be_true and not _possible(node.body, node.name, False).be_false

@@ -26,7 +26,7 @@ _NOTES = '# As in program.py. Where a line says "discards the event", a formula 
 
 
 class _Names(Names):
-    """Names in formulas: ports are read before and after a step, and sensors through `.value`, as actuators are."""
+    """Names in formulas, which read ports before and after a step, and sensors and actuators as `.value`."""
 
     formulas = True
     before, after = "before.", "after."

@@ -106,7 +106,7 @@ def with_floats(type_: Type) -> bool:
     match type_:
         case Scalar() | Sized():
             return type_ in (FLOAT, POINT, POSE, GRID) or (isinstance(type_, Sized) and type_.name != "string")
-        case Sequence(_, element) | PerRobot(element) | MapOf(_, element):  # keys have none
+        case Sequence(_, element) | PerRobot(element) | MapOf(_, element):  # keys of a Map contain no floats
             return with_floats(element)
         case TupleOf(items):
             return any(map(with_floats, items))
