@@ -238,7 +238,7 @@ def _up(value: float) -> str:
 
 
 def _longest(program: Program) -> tuple[Shared, ...]:
-    """Return the shared variables that the event with the largest writes writes."""
+    """Return the shared variables that are written by the event with the largest writes."""
     written = (_written(event.effect) for event in program.events)
     return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_entry, default=())
 
@@ -285,7 +285,7 @@ def most_bytes(type_: Type) -> int:
         case Sized("string", capacity):
             return _head(capacity, 32, 256) + capacity
         case Sized("GridMap", capacity):
-            packed = (capacity + 3) // 4  # two bits a cell
+            packed = (capacity + 3) // 4  # a cell takes two bits
             return 1 + 5 * NUMBER + _head(packed, 0, 256) + packed
         case Sized(_, capacity):
             return 1 + 2 * (_head(capacity, 16, 0) + NUMBER * capacity) + NUMBER

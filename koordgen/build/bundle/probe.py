@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-TIMEOUT = 10.0  # seconds
+TIMEOUT = 10.0  # seconds until an import is abandoned
 METHODS = ("sense", "command", "call", "plan")  # methods of drivers and planners; the child reports which a class has
 
 
@@ -47,7 +47,7 @@ def _main(file: str, root: str, package: str, names: list[str]) -> None:
 
     answer = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # output of the file goes to stderr
-    sys.path[:1] = [root, package]  # replaces the folder of this script
+    sys.path[:1] = [root, package]  # the new entries replace the folder of this script
     spec = importlib.util.spec_from_file_location(Path(file).stem, file)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -55,7 +55,7 @@ def _main(file: str, root: str, package: str, names: list[str]) -> None:
     try:
         spec.loader.exec_module(module)
         found: dict[str, Any] = {"offers": {name: _described(getattr(module, name, None)) for name in names}}
-    except BaseException as error:  # also SystemExit
+    except BaseException as error:  # BaseException includes SystemExit
         found = {"error": f"{type(error).__name__}: {error}{_where(error, file)}"}
     json.dump(found, answer)
     answer.close()
@@ -86,7 +86,7 @@ def _described(thing: Any) -> dict[str, Any] | None:
     found: dict[str, Any] = {"class": isinstance(thing, type)}
     try:
         parameters = inspect.signature(thing).parameters.values()
-    except (ValueError, TypeError):  # written in C: its parameters are unknown
+    except (ValueError, TypeError):  # a function written in C, whose parameters are unknown
         return {**found, "parameters": [], "required": 0, "any": True}
     by_position = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     found["parameters"] = [p.name for p in by_position]

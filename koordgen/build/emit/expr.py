@@ -78,7 +78,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return literal(value), _SIGN if negative else _ATOM
         case ir.Widen(ir.Const(value)):
             return repr(float(value)), _ATOM
-        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # the int -0 is 0, not -0.0
+        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # not for 0: the int -0 is 0, not -0.0
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return _call_of("float", text(operand, names)), _ATOM
@@ -330,7 +330,7 @@ def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
         return joined(counted, _call_of(".count", item))
     given = [_argument(arg, name, names) for arg in args]
     match name:
-        case "items":  # a map is the tuple of its pairs
+        case "items":  # generated code has a Map as a tuple of its pairs
             return given[0]
         case "sorted" | "reversed":
             return _call_of(names.use("made"), _call_of("tuple", _call_of(name, *given)))

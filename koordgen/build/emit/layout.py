@@ -61,7 +61,7 @@ def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = Fal
 
 
 def display(items: Sequence[str]) -> str:
-    """Return a tuple of these items."""
+    """Return the code of a tuple of the given items."""
     if len(items) != 1:
         return brackets("(", items, ")", not any(isinstance(item, _Code) for item in items))
     found = _Brackets(f"({items[0]},)")
@@ -70,7 +70,7 @@ def display(items: Sequence[str]) -> str:
 
 
 def chain(*parts: str) -> str:
-    """Return operands with spaces between them."""
+    """Return the code of the given operands with spaces between them."""
     found = _Chain(" ".join(parts))
     found.parts = parts
     return found

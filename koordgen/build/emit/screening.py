@@ -22,7 +22,7 @@ _OPPOSITE = {">": "<=", ">=": "<", "<": ">=", "<=": ">", "==": "!=", "!=": "=="}
 
 
 class _Unsupported(Exception):
-    """Raised if a formula has no screening."""
+    """Raised if no screening exists for a formula."""
 
 
 def text(formula: ir.Expr, names: Names) -> str:

@@ -26,7 +26,7 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# Equal to those of koordgen/runtime/values/turns.py (a test compares them).
+# These constants equal those of koordgen/runtime/values/turns.py (a test compares them).
 ELEMENTS_A_TURN = 100
 CELLS_AN_ELEMENT = 100
 MOST_BITS = 4096
