@@ -416,10 +416,11 @@ def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[
 
 
 def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChecks:
-    """Return the checks of names in a fleet file.
+    """Return the functions that check the names in a fleet file.
 
     `programs`: the fleet's only program under the name "", or the program of each application. Names of variables and
-    properties of an application begin with the application's name and a dot. `folders` may have the user's classes.
+    properties of an application begin with the application's name and a dot. `folders`: where the user's classes are
+    searched.
     """
     from functools import cache
 
@@ -445,7 +446,7 @@ def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChec
         possible = f"; possible positions: {', '.join(places)}" if places else ""
         return f"marker_list.variable is {name!r}: there is no shared list {name} {field}{possible}"
 
-    @cache  # most robots name the same class, and each inspection starts a process
+    @cache  # inspect a class once: most robots name the same class, and an inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
         driver, folders_ = DriverClass(module, name), list(folders)
         return next(filter(None, (own_class(driver, methods, p, folders_) for p in programs.values())), "")
