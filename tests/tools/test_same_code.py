@@ -168,7 +168,7 @@ def test_a_rename_passes_only_with_the_file(compare: Compare) -> None:
     names = "# classes\nLink Channel\nLIMIT MOST\n"
     assert compare(APP, renamed)[0] == 1
     status, printed = compare(APP, renamed, renames=names)
-    assert status == 1 and "identifier path, then identifier folder" in printed
+    assert status == 1 and "old identifier path, new identifier folder" in printed
     # The parameter `path` of open_link and __init__ keeps its name.
     assert compare(APP, renamed, renames=names + "path folder app/text.py\n")[0] == 1
     full = {p: t.replace("path: str", "folder: str").replace("path or", "folder or") for p, t in renamed.items()}
@@ -205,7 +205,7 @@ def test_a_docstring_may_change_with_a_text_file_only(compare: Compare) -> None:
         path: text.replace("One link.", "A link.").replace("Links between", "Link of") for path, text in APP.items()
     }
     status, printed = compare(APP, changed)
-    assert status == 1 and "'One link.', then 'A link.'" in printed
+    assert status == 1 and "old 'One link.', new 'A link.'" in printed
     assert compare(APP, changed, text="")[0] == 0
     assert compare(APP, {**changed, "app/limits.py": "LIMIT = 4\nOTHER = 4\n"}, text="")[0] == 1
 
