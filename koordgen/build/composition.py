@@ -158,7 +158,7 @@ def _interface(part: ApplicationProgram, imported: Import, exporter: Application
             yield Diagnostic("B012", "error", message, spec.span, help=help)
         elif _signature(spec.parameters, spec.result) != _signature(there_spec.parameters, there_spec.result):
             place = _place(exporter.source, there_spec.span)
-            message = f"{spec.name} has other types in {name} ({place})"
+            message = f"the spec function {spec.name} has other parameters or another result in {name} ({place})"
             yield Diagnostic("B012", "error", message, spec.span, help="declare it with the same parameters and result")
 
 
@@ -169,7 +169,7 @@ def _signature(parameters: Sequence[Parameter], result: Type) -> tuple[object, .
 def _difference(mine: Shared, is_list: bool, theirs: Shared) -> str:
     """Return how an import differs from the exported variable, or ""."""
     if is_list != (theirs.kind == "allread"):
-        return "it is allread there, with a value for each robot" if not is_list else "it is allwrite there"
+        return "the exported variable is allread" if not is_list else "the exported variable is allwrite"
     type_ = mine.type.element if is_list and isinstance(mine.type, SequenceType) else mine.type
     return _type_difference(type_, theirs.type)
 
@@ -177,10 +177,10 @@ def _difference(mine: Shared, is_list: bool, theirs: Shared) -> str:
 def _type_difference(mine: Type, theirs: Type) -> str:
     """Return a text on how two types differ, or "". `==` of types cannot be used: it ignores capacities."""
     if str(mine) != str(theirs):
-        return f"it is {theirs} there, not {mine}"
+        return f"the exported type is {theirs}, the imported one {mine}"
     here, there = list(capacities(mine)), list(capacities(theirs))
     if here != there:
-        return f"its capacity is {', '.join(map(str, there))} there, not {', '.join(map(str, here))}"
+        return f"the exported capacity is {', '.join(map(str, there))}, the imported one {', '.join(map(str, here))}"
     match mine, theirs:
         case (SequenceType(_, a), SequenceType(_, b)) | (MapOf(_, a), MapOf(_, b)):
             return _type_difference(a, b)
@@ -195,10 +195,10 @@ def _type_difference(mine: Type, theirs: Type) -> str:
 def _record_difference(mine: RecordType, theirs: RecordType) -> str:
     here, there = dict(mine.fields), dict(theirs.fields)
     if list(here) != list(there):
-        return f"its record {mine.name} has the fields {', '.join(there)} there, not {', '.join(here)}"
+        return f"the exported record {mine.name} has the fields {', '.join(there)}, the imported one {', '.join(here)}"
     for name in here:
         if difference := _type_difference(here[name], there[name]):
-            return f"in the field {name} of its record {mine.name}, {difference}"
+            return f"in the field {name} of the record {mine.name}, {difference}"
     return ""
 
 

@@ -99,7 +99,7 @@ def check_alone(program: Program) -> list[Diagnostic]:
     program with guarantees is refused instead of leaving them unproved without a word.
     """
     only = "cannot be built, proved or explored alone"
-    fleet = "list it under `applications:` in a fleet file, and prove that with `koordgen prove fleet.yaml`"
+    fleet = "list it under `applications:` in a fleet file, and prove the fleet with `koordgen prove fleet.yaml`"
     help = f"{fleet}; or remove the import, and declare its variables in this program"
     found = [
         Diagnostic("B011", "error", f"{i.name}: a program with imports {only}", i.span, help=help)

@@ -111,28 +111,29 @@ def test_one_program_may_be_two_applications(tmp_path: Path) -> None:
         ("List<int> found max 20\n  write", "write List<int> found max 20\n  write",
          "task.koord:5: B012 mapping exports found for reading only (mapping.koord:2) | remove `write`"),
         ("done max 20", "done max 21",
-         "task.koord:6: B012 done is not imported as mapping exports it (mapping.koord:3): its capacity is 20 there, "
-         "not 21 | write `List<Task> done max 20`"),
+         "task.koord:6: B012 done is not imported as mapping exports it (mapping.koord:3): the exported capacity "
+         "is 20, the imported one 21 | write `List<Task> done max 20`"),
         ("int place[Mapping.N_SYS]", "float place[Mapping.N_SYS]",
-         "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): it is int there, not float "
-         "| write `int place[Mapping.N_SYS]`"),
+         "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): the exported "
+         "type is int, the imported one float | write `int place[Mapping.N_SYS]`"),
         ("int place[Mapping.N_SYS]", "int place",
-         "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): it is allread there"),
+         "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): the exported variable is allread"),
         ("  List<int> found max 20\n", "  List<int> found max 20\n  int hidden\n",
          "task.koord:6: B012 mapping exports no variable hidden | write it under `export:` in mapping.koord; its "
          "declaration is mapping.koord:16"),
         ("  List<int> found max 20\n", "  List<int> found max 20\n  int nowhere\n",
          "task.koord:6: B012 mapping exports no variable nowhere | mapping.koord exports: found, done, place"),
         ("good(int a) -> bool", "good(float a) -> bool",
-         "task.koord:8: B012 good has other types in mapping (mapping.koord:8)"),
+         "task.koord:8: B012 the spec function good has other parameters or another result in mapping "
+         "(mapping.koord:8)"),
         ("good(int a) -> bool", "bad(int a) -> bool",
          "task.koord:8: B012 mapping has no spec function bad | mapping.koord has: good"),
         ("  int kind\n", "  float kind\n",
-         "task.koord:6: B012 done is not imported as mapping exports it (mapping.koord:3): in the field kind of its "
-         "record Task, it is int there, not float"),
+         "task.koord:6: B012 done is not imported as mapping exports it (mapping.koord:3): in the field kind of the "
+         "record Task, the exported type is int, the imported one float"),
         ("  int kind\n", "  int sort\n",
-         "task.koord:6: B012 done is not imported as mapping exports it (mapping.koord:3): its record Task has the "
-         "fields where, kind there, not where, sort"),
+         "task.koord:6: B012 done is not imported as mapping exports it (mapping.koord:3): the exported record "
+         "Task has the fields where, kind, the imported one where, sort"),
         ("  sensors: Point position", "  sensors: Point position\n  actuators: Point target",
          "task.koord:9: B013 task and mapping both have actuators of bert: Motion at mapping.koord:10"),
         ("Point position", "Pose position",
@@ -147,7 +148,7 @@ def test_what_a_program_imports_must_be_exported(before: str, after: str, error:
 def test_a_capacity_within_a_record_must_be_equal(tmp_path: Path) -> None:
     a, b = (text.replace("int kind", f"string kind max {n}") for n, text in ((9, MAPPING), (8, TASK)))
     (error,) = errors(fleet(tmp_path, mapping=a, task=b))
-    assert "in the field kind of its record Task, its capacity is 9 there, not 8" in error
+    assert "in the field kind of the record Task, the exported capacity is 9, the imported one 8" in error
 
 
 @pytest.mark.parametrize(

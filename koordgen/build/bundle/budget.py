@@ -68,7 +68,7 @@ def _check_store(program: Program, robots: int) -> list[Diagnostic]:
 
 
 def _less(program: Program, largest: Shared, robots: int) -> str:
-    """Return the help of B004: the greatest capacity of the largest variable that fits, if there is one."""
+    """Return the help of B004. It names the greatest capacity with which the largest variable fits."""
 
     def fits(variable: Shared) -> bool:
         shared = _with(program.shared, variable)
@@ -97,12 +97,12 @@ def _check_init(program: Program, robots: int) -> list[Diagnostic]:
 
 
 def most_entry(robots: int) -> int:
-    """Return the most bytes of one log entry in a fleet of `robots` robots."""
+    """Return the largest size in bytes of one log entry in a fleet of `robots` robots."""
     return min(MOST_ENTRY, most_store(robots))
 
 
 def most_store(robots: int) -> int:
-    """Return the most bytes of all shared variables in a fleet of `robots` robots.
+    """Return the size in bytes that all shared variables of a fleet of `robots` robots may have.
 
     State transfer sends them to a robot that rejoins, in at most MOST_FRAGMENTS datagrams.
     """
@@ -110,7 +110,7 @@ def most_store(robots: int) -> int:
 
 
 def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
-    """Return the most bytes of a state transfer: all slots of these variables, and the protocol's own fields."""
+    """Return the largest size in bytes of a state transfer: all slots of these variables, and the protocol's fields."""
     members = array_head(robots, 16, 0) + NUMBER * robots
     acted = array_head(robots, 16, 0) + 5 * robots
     beside = 1 + (1 + 2 * NUMBER + members) + NUMBER + array_head(len(shared), 16, 0) + members + acted
@@ -118,7 +118,7 @@ def store_bytes(shared: tuple[Shared, ...], robots: int) -> int:
 
 
 def most_init(robots: int) -> int:
-    """Return the most bytes of the entry with the writes of `init`, which is sent in one datagram, a Hello."""
+    """Return the largest size in bytes of the log entry of `init`. A Hello carries it in one datagram."""
     return DATAGRAM - (146 + 20 * min(robots, 8) + array_head(robots, 16, 0) + robots)
 
 
@@ -168,7 +168,7 @@ def traffic_of(writes: int, robots: int, link: Medium, to_all: bool) -> Traffic:
 
 
 def round_bytes(program: Program, robots: int, link: Medium, to_all: bool = False) -> int:
-    """Return the most bytes that the fleet sends in one round, headers of packets included."""
+    """Return the largest number of bytes that the fleet sends in one round, headers of packets included."""
     return traffic(longest_event(program), robots, link, to_all).bytes
 
 
@@ -204,7 +204,7 @@ def check_link(
 
 
 def on_the_medium(datagram: int, mtu: int) -> int:
-    """Return the bytes of a datagram on the link: split into as few packets as possible, each with its headers."""
+    """Return the bytes that a datagram takes on the link, in as few packets as possible, with all headers."""
     packets = ceil((datagram + _UDP) / ((mtu - _IP) // 8 * 8))  # fragments have multiples of 8 bytes
     return datagram + _UDP + packets * (_IP + _FRAME)
 
@@ -219,7 +219,7 @@ def _arithmetic(found: Traffic) -> str:
 
 
 def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: Medium) -> str:
-    """Return the help of B008: the least delta, the least rate, and the greatest capacity of the largest variable."""
+    """Return the help of B008. It names a delta, a rate and a capacity of the largest variable that would suffice."""
     bits = found.bytes * 8
     ways = [f"a delta of {_up(bits / link.rate)} s"] if bits / link.rate <= LONGEST_DELTA else []
     ways.append(f"a link of {_up(bits / delta)} bit/s")
@@ -242,7 +242,7 @@ def _up(value: float) -> str:
 
 
 def longest_event(program: Program) -> tuple[Shared, ...]:
-    """Return the shared variables that the event with the largest writes writes."""
+    """Return the shared variables that are written by the event with the largest log entry."""
     written = (_written(event.effect) for event in program.events)
     return max((tuple(v for v in program.shared if v.name in names) for names in written), key=_entry, default=())
 
@@ -258,21 +258,21 @@ def _init_bytes(program: Program, shared: tuple[Shared, ...]) -> int:
 
 
 def most_in(block: stmt.Block, variable: Shared) -> int:
-    """Return the most bytes of a write to `variable` in a block; 0 if the block does not write it."""
+    """Return the largest size in bytes of a write to `variable` in a block; 0 if the block does not write it."""
     writes = [s for s in statements(block) if isinstance(s, stmt.Assign)]
     values = [s.value for s in writes if s.place in (stmt.OwnSlot(variable.name), stmt.SharedPlace(variable.name))]
     return max((WRITE + most_bytes(_as_long_as(value, variable.type)) for value in values), default=0)
 
 
 def _as_long_as(value: expr.Expr, type_: Type) -> Type:
-    """Return `type_` with its capacity reduced to the length of a literal: 0 for `[]`."""
+    """Return `type_` with the capacity of a literal, which is its length: 0 for `[]`."""
     if isinstance(value, expr.Make) and isinstance(type_, (Sequence, MapOf)):
         return replace(type_, capacity=min(type_.capacity, len(value.items)))
     return type_
 
 
 def _kept(variable: Shared, robots: int) -> int:
-    """Return the most bytes of a variable with all its slots."""
+    """Return the largest size in bytes of a variable, with all its slots."""
     most = most_bytes(variable.type)
     return array_head(robots, 16, 0) + robots * most if variable.kind == "allread" else most
 
@@ -282,7 +282,7 @@ def _with(shared: tuple[Shared, ...], changed: Shared) -> tuple[Shared, ...]:
 
 
 def most_bytes(type_: Type) -> int:
-    """Return the most bytes of a value in MessagePack, within the declared capacities."""
+    """Return the largest size in bytes of a MessagePack value of a type, within the declared capacities."""
     match type_:
         case Scalar():
             return FIXED[type_]
@@ -328,12 +328,12 @@ def array_head(count: int, shortest: int, short: int) -> int:
 
 
 def _entry(shared: tuple[Shared, ...]) -> int:
-    """Return the most bytes of a log entry that writes these variables."""
+    """Return the largest size in bytes of a log entry that writes these variables."""
     return ENTRY + sum(WRITE + most_bytes(v.type) for v in shared)
 
 
 def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:
-    """Return a help text with the greatest `max` for which the variable fits; empty if there is none."""
+    """Return a help text with the greatest `max` for which the variable fits; "" if it fits for no `max`."""
     type_ = variable.type
     if not isinstance(type_, (Sized, Sequence, MapOf)):
         return ""
@@ -344,6 +344,6 @@ def _capacity(variable: Shared, fits: Callable[[Shared], bool]) -> str:
 
 
 def _sized_inside(type_: Sequence | MapOf) -> bool:
-    """Return whether elements, keys or values have capacities of their own, written after the outermost one."""
+    """Return whether the elements, keys or values of a type have capacities, too: `max` names them after the first."""
     parts = (type_.element,) if isinstance(type_, Sequence) else (type_.key, type_.value)
     return any(isinstance(part, (Sized, Sequence, MapOf)) for part in parts)

@@ -76,7 +76,7 @@ def _root(driver: DriverClass, file: Path) -> Path:
 
 
 def find(path: str, folders: list[Path]) -> Path:
-    """Return the file `path` in the first folder that has it; otherwise its (missing) path in the first folder."""
+    """Return the file `path` in the first folder that has it. If no folder has it, return its path in the first one."""
     found = (folder / path for folder in folders)
     return next((file for file in found if file.is_file()), folders[0] / path)
 

@@ -13,7 +13,10 @@ from koordgen.lang.source import Span
 
 
 def functions_file(program: Program, folder: Path, given: str | None) -> Path | None:
-    """Return the functions file: `given`, or `<app>_functions.py` in the program's folder; None if none is needed."""
+    """Return the functions file: `given`, or `<app>_functions.py` in the program's folder.
+
+    Return None if the program needs no such file.
+    """
     if not program.externs and not program.extern_types:
         return None
     return Path(given) if given else folder / f"{functions_module(program)}.py"

@@ -181,7 +181,7 @@ def read_system_ingredients(
 
 
 def these_with_sizes(these: SystemIngredients) -> SystemIngredients:
-    """Return the ingredients whose programs know the numbers of the exporters' members."""
+    """Return the ingredients with the number of each exporter's members as a param of the importing programs."""
     return SystemIngredients(
         with_sizes(these.system), these.parts, these.targets, these.fleet, these.common, these.target_files,
         these.shares,
@@ -189,12 +189,12 @@ def these_with_sizes(these: SystemIngredients) -> SystemIngredients:
 
 
 def _app(system: System) -> str:
-    """Return the name that stands for all applications; equal to FleetProgram.name."""
+    """Return one name for all applications together. It is equal to FleetProgram.name."""
     return "+".join(application.name for application in system.applications)
 
 
 def _functions(these: SystemIngredients) -> list[bytes]:
-    """Return the content of each application's functions file; empty if it has none."""
+    """Return the content of each application's functions file; b"" for an application without such a file."""
     return [
         part.beside.get(f"{functions_module(application.program)}.py", b"")
         for application, part in zip(these.system.applications, these.parts, strict=True)

@@ -136,5 +136,5 @@ class _CallCounter:
 
 
 def _calls(root: Node, times: float) -> Calls:
-    """Return the port calls in an expression, or in a statement without blocks."""
+    """Return the port calls in an expression or a statement. Blocks inside a statement are left out."""
     return [(node, times) for node in walk(root) if isinstance(node, expr.PortCall)]

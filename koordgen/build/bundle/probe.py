@@ -74,10 +74,12 @@ def _described(thing: Any) -> dict[str, Any] | None:
     """Describe a function or class as JSON values; None for other objects.
 
     parameters: names of the positional parameters.
-    required: number of parameters without a default; 1000 more for each keyword-only one, which no call can give.
-    any: True if it takes any number of positional arguments.
-    Classes only: `class` is True; `sensors` and `actuators`, None if not a dict of texts; `methods`, those of METHODS;
-    `flaw`, the reason why a value cannot be constructed and packed, or "".
+    required: number of parameters without a default. A required keyword-only parameter counts 1000, so that no call
+        fits: koordgen passes arguments by position only.
+    any: True if the function takes any number of positional arguments.
+    Classes only: `class` is True. `sensors` and `actuators`: the dicts of these names, or None if a value is no text.
+    `methods`: the names in METHODS that the class has. `flaw`: the reason why no value can be constructed and packed,
+    or "".
     """
     import inspect
 

@@ -93,7 +93,7 @@ def check_system_link(
 
 
 def entry_bytes(system: System, robot: int, sizes: Sequence[Size]) -> int:
-    """Return the most bytes of a robot's log entry with writes of these sizes."""
+    """Return the largest size in bytes of a robot's log entry with writes of these sizes."""
     count = sum(robot in application.members for application in system.applications)
     return ENTRY + (_PARTS + _PART * count if count > 1 else 0) + sum(map(_bytes, sizes))
 
@@ -104,12 +104,14 @@ def entry_sizes(system: System, robot: int) -> list[Size]:
 
 
 def init_sizes(system: System, robot: int) -> list[Size]:
-    """Return the sizes of the variables that `init` of a robot's applications writes."""
+    """Return the sizes of the variables that the `init` blocks of a robot's applications write."""
     return _sizes(system, robot, lambda program, v: most_in(program.init, v))
 
 
 def event_sizes(system: System, robot: int) -> list[Size]:
-    """Return the sizes of the variables in the largest writes of one event of each application of a robot."""
+    """Return the sizes of the variables that a robot writes in its largest round.
+
+    Of each application, the event with the largest writes counts."""
     return _sizes(system, robot, lambda program, v: WRITE + most_bytes(v.type) if v in longest_event(program) else 0)
 
 
@@ -126,7 +128,7 @@ def store_sizes(system: System) -> list[Size]:
 
 
 def store_total(system: System) -> int:
-    """Return the most bytes of a state transfer of all applications."""
+    """Return the largest size in bytes of a state transfer, which contains the variables of all applications."""
     robots, sizes, count = system.robots, store_sizes(system), len(system.instances())
     view = 1 + 2 * NUMBER + array_head(robots, 16, 0) + NUMBER * robots
     instances = 2 * array_head(count, 16, 0) + (NUMBER + 5) * count
@@ -151,7 +153,9 @@ def _may_write(program: Program, variable: Shared) -> bool:
 def _check_robots(
     system: System, names: Sequence[str], sizes: Callable[[System, int], list[Size]], room: int, what: str
 ) -> list[Found]:
-    """Check a message of the robot that may send most. Return an error at its largest variable, or nothing."""
+    """Check a message of the robot that may send the most bytes. Return an error at the message's largest variable.
+
+    Return no error if the message fits."""
     totals = [entry_bytes(system, robot, sizes(system, robot)) for robot in range(system.robots)]
     robot = max(range(system.robots), key=lambda r: totals[r])
     if totals[robot] <= room:

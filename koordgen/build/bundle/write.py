@@ -131,7 +131,7 @@ def _runs(process: int) -> bool:
 
 
 def _must_be_ours(folder: Path) -> bytes | None:
-    """Return the SHA256SUMS of a complete bundle in `folder`; None if there is no bundle or a file of it is missing.
+    """Return the SHA256SUMS of a complete bundle in `folder`; None if the bundle or one of its files is missing.
 
     Raises Foreign if the folder has a file that koordgen did not write, or that was changed.
     """
@@ -176,7 +176,7 @@ def _contents(folder: Path, known: Mapping[str, str]) -> Iterator[tuple[str, Pat
 
 
 def _known(folder: Path) -> dict[str, str]:
-    """Return the digests of the files that koordgen wrote, by their paths; empty without a SHA256SUMS with MARK."""
+    """Return path -> digest of the files that koordgen wrote; empty if no SHA256SUMS begins with MARK."""
     try:
         mark, *listed = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):

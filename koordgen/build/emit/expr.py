@@ -34,7 +34,7 @@ _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
 # Builtins that compare their arguments, or parts of them. `clear` and `path_distance` check for NaN themselves.
 _COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
-# Builtins that iterate over their arguments. Builtins in _COMPARING iterate over theirs, too.
+# Builtins that iterate over their arguments and compare nothing.
 _SEARCHING = ("sum", "union", "intersection", "difference")
 
 
@@ -52,7 +52,7 @@ def and_also(node: ir.Expr, last: str, names: Names) -> str:
 
 
 def domain(node: ir.Expr, names: Names) -> str:
-    """Return the Python iterable of a loop over `node`: for a Map, its keys."""
+    """Return the Python text of the iterable of a loop over `node`. A loop over a Map visits the keys."""
     match node:
         case ir.Range(ir.Const(0), stop, 1):
             return _call_of("range", text(stop, names))
@@ -125,7 +125,7 @@ def _infix(left: str, op: str, right: str) -> str:
 
 
 def _checked(node: ir.Binary, names: Names) -> str:
-    """Return an operation with a check of the result's size at run time."""
+    """Return the Python text of an operation that checks the size of its result at run time."""
     looks = names.use(size.checked(node))
     if looks == "made":
         last = joined(f"{node.op} ", _within(node.right, names, _PRODUCT))
@@ -153,10 +153,10 @@ def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
 
 
 def _quantified(node: ir.Quantified, names: Names) -> str:
-    """Return the call for a quantifier of a property.
+    """Return the Python text of a call that evaluates a quantifier of a property.
 
-    A robot knows only a part of the fleet's state, so the truth value may stay open. The methods of `s` also record
-    which robot or value made the formula false.
+    A robot knows only a part of the fleet's state, so the truth value may be unknown. The called methods of `s` also
+    record which robot or value made the formula false.
     """
     every = "every" if node.kind == "forall" else "some"
     others = () if isinstance(node.domain, ir.Ids) or _names_a_robot(node.name, node.body) else ("robots=False",)
@@ -167,7 +167,7 @@ def _quantified(node: ir.Quantified, names: Names) -> str:
 
 
 def _counted(over: ir.Expr, names: Names) -> str:
-    """Return the domain of a quantifier. Each of its values costs a turn, except for `ID`."""
+    """Return the Python text of a quantifier's domain. Each value of the domain costs a turn, except in `ID`."""
     return domain(over, names) if isinstance(over, ir.Ids) else _call_of(names.use("turns"), domain(over, names))
 
 
@@ -184,10 +184,10 @@ def _names_a_robot(name: str, body: ir.Expr) -> bool:
 
 
 def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
-    """Return an operand of a comparison.
+    """Return the Python text of an operand of a comparison.
 
-    A value that may contain NaN is passed through a function that raises for NaN; for a region, the values that it is
-    constructed from are. A large value costs turns.
+    If the operand may contain NaN, the text calls a function that raises for NaN. For a region, it does so for the
+    values that construct the region. If the operand is large, the text also counts turns.
     """
     if kind(node, names.floats) == ANY:
         looks = names.use("no_nan" if node.type == FLOAT else "no_nan_in")
@@ -196,13 +196,16 @@ def _compared(node: ir.Expr, names: Names, least: int = _SUM) -> str:
 
 
 def _searched(node: ir.Expr, names: Names, least: int) -> str:
-    """Return a value over which the runtime iterates; one that may have many elements costs turns."""
+    """Return the Python text of a value over which the runtime iterates.
+
+    If the value may have many elements, the text also counts the turns of the iteration.
+    """
     looks = size.looks(node, names.floats)
     return _call_of(names.use(looks), text(node, names)) if looks else _within(node, names, least)
 
 
 def literal(value: int | float | bool | str) -> str:
-    """Return a constant as Python text; strings have double quotes, as in the rest of the module."""
+    """Return the Python text of a constant. Strings have double quotes, like all strings of the module."""
     if not isinstance(value, str):
         return repr(value)
     inner = repr('"' + value)[2:-1]  # repr encloses a string with a double quote in single quotes

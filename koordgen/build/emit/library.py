@@ -6,7 +6,7 @@ from collections.abc import Container
 
 from koordgen.build.emit.layout import WIDTH, Page, brackets
 
-# Modules in the order of their imports.
+# Modules of the generated import lines, in the order of the lines.
 _MODULES: dict[str, tuple[str, ...]] = {
     "math": ("acos", "asin", "atan", "atan2", "ceil", "cos", "exp", "floor", "log", "sin", "sqrt", "tan"),
     "typing": ("Annotated", "Any"),
@@ -89,6 +89,6 @@ def imported(module: str, names: list[str]) -> list[str]:
 
 
 def notes(used: Container[str], heading: str) -> list[str]:
-    """Return the comment lines that explain used names and operators; empty if none needs an explanation."""
+    """Return the comment lines that explain the used names and operators; [] if no explanation is needed."""
     found = [f"#   {shown:<18}{says}" for keys, shown, says in _NOTES if any(key in used for key in keys)]
     return [heading, *found] if found else []

@@ -67,7 +67,7 @@ class Names:
     def _fields(self, fields: list[str]) -> dict[str, str]:
         """Return Python names of a record's fields.
 
-        Names that the class body uses are not free: a field of that name would hide them.
+        A field must not have a name that the class body uses, because the field would hide it.
         """
         classes = {name for name in library.HOME if name[0].isupper()}
         taken = {*keyword.kwlist, *_IN_CLASSES, *classes, *self.records.values(), *self.extern_types.values()}
@@ -90,15 +90,15 @@ class Names:
         return self.bounds[text]
 
     def use(self, name: str) -> str:
-        """Return `name`, and record that the text uses it.
+        """Return `name`, and record that the generated text uses it.
 
-        It is a name of the library or the program, or the mark of an operator that `library.notes` explains.
+        `name`: a name of the library or the program, or the mark of an operator that `library.notes` explains.
         """
         self.used.add(name)
         return name
 
     def attempt(self) -> Names:
-        """Return a copy that has not recorded any used name, for text that may be dropped before it is emitted."""
+        """Return a copy with an empty record of used names. It serves text that may be dropped."""
         made = copy.copy(self)
         made.used = set()
         return made

@@ -29,8 +29,8 @@ _NOTES = "# Python and Koord compute the same values. Operators and functions th
 def program_text(program: ir.Program, functions: bytes = b"") -> str:
     """Return the text of the generated module.
 
-    `functions`: content of the functions file, if there is one. The text is compiled once as a check: a SyntaxError is
-    a bug of this compiler.
+    `functions`: content of the functions file; empty if the program has none. The text is compiled once as a check: a
+    SyntaxError is a bug of this compiler.
     """
     names = Names(program)
     body = Page()
@@ -47,7 +47,7 @@ def program_text(program: ir.Program, functions: bytes = b"") -> str:
 
 
 def program_hash(program: ir.Program, functions: bytes = b"") -> str:
-    """Return 16 hexadecimal digits over the program's canonical encoding (ir/encoding.py) and its functions file.
+    """Return a hash, 16 hexadecimal digits, of the program's canonical encoding (ir/encoding.py) and functions file.
 
     Robots with different hashes refuse one another.
     """
@@ -55,7 +55,10 @@ def program_hash(program: ir.Program, functions: bytes = b"") -> str:
 
 
 def interface_hash(program: ir.Program) -> str:
-    """Return 16 hexadecimal digits over wire format and shared variables, which peers need to read datagrams."""
+    """Return a hash, 16 hexadecimal digits, of the wire format and the shared variables.
+
+    Robots with equal hashes can read the datagrams of one another.
+    """
     shared = tuple([(v.name, v.kind, v.type) for v in program.shared])
     return digest(encode("interface", WIRE_FORMAT, shared))
 
@@ -69,7 +72,7 @@ def functions_module(program: ir.Program) -> str:
 
 
 def digest(data: bytes) -> str:
-    """Return 16 hexadecimal digits."""
+    """Return the hash of some bytes as 16 hexadecimal digits."""
     return blake2s(data, digest_size=8).hexdigest()
 
 
@@ -193,7 +196,7 @@ def _attribute(name: str, kind: str, type_: str, value: str) -> str:
 
 
 def add_callable(page: Page, method: str, type_: str, port: str, asked: str, names: Names) -> None:
-    """Add the method of a callable port. `asked` is the method of the base class that returns the answer."""
+    """Add the method of a callable port. `asked`: name of the base class's method that returns the port's answer."""
     names.use("calls")
     page.gap(1)
     page.add(joined(f"def {method}(self, *args: {names.use('Any')}) -> ", type_, ":"), STEP)
@@ -273,7 +276,10 @@ def _tables(program: ir.Program, names: Names, hashed: str) -> Page:
 
 
 def add_table(page: Page, name: str, rows: Iterable[tuple[str, int]]) -> None:
-    """Add a keyword argument whose value is a tuple. `rows`: each row's text, and its line in the program or 0."""
+    """Add a keyword argument whose value is a tuple.
+
+    `rows`: pairs of an item's text and the item's line in the program; 0 if the item has no line.
+    """
     found = list(rows)
     if not found:
         page.add(f"{name}=(),", STEP)
@@ -296,7 +302,7 @@ def _variable(v: ir.Local | ir.Shared, kind: str, names: Names) -> str:
 
 
 def _ordered(records: Iterable[ir.Record]) -> list[ir.Record]:
-    """Sort records so that each stands after the records in its fields, which its initial value needs."""
+    """Sort records so that each one stands after the records in its own fields: its initial value needs them."""
     by_name = {r.type.name: r for r in records}
     found: dict[str, ir.Record] = {}
 

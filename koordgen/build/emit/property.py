@@ -165,7 +165,7 @@ def _add_function(page: Page, name: str, parameters: Sequence[str], mark: str, f
 
 
 def _screening(page: Page, function: str, enough: str, names: Names) -> list[str]:
-    """Add the screening function of a formula, if there is one. Return its keyword argument."""
+    """Add the screening function of a formula. Return the keyword argument that names it; [] without a screening."""
     if not enough:
         return []
     page.gap()

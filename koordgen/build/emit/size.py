@@ -38,7 +38,7 @@ _CHECKED = {"+": "plus", "-": "minus", "*": "product"}
 
 
 def checked(node: ir.Binary) -> str:
-    """Return the runtime function that computes `node` and checks its size; "" if it needs no check."""
+    """Return the runtime function that computes `node` and checks the result's size; "" if no check is needed."""
     if node.type == INT and node.op in _CHECKED:
         left, right = _bits(node.left), _bits(node.right)
         if node.op != "*" and min(left, right) <= SMALL_BITS:
@@ -98,7 +98,7 @@ def _length(node: ir.Expr) -> int:
 
 
 def looks(node: ir.Expr, written: Container[stmt.Place]) -> str:
-    """Return the runtime function that counts the turns of iterating over a value; "" if these are always 0.
+    """Return the runtime function that counts the turns of an iteration over a value; "" if they are always 0.
 
     The value of a variable that the block has not `written` is within its declared capacity.
     """
@@ -109,7 +109,7 @@ def looks(node: ir.Expr, written: Container[stmt.Place]) -> str:
 
 
 def _weight(node: ir.Expr, written: Container[stmt.Place]) -> float:
-    """Return an upper bound of the elements of a value, counted as `elements` of the runtime does."""
+    """Return an upper bound of the number of elements of a value. The runtime's function `elements` counts them."""
     match node:
         case ir.Const(str() as text):
             return len(text)

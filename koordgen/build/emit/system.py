@@ -34,9 +34,9 @@ def is_alone(system: System) -> bool:
 
 
 def system_hash(system: System, functions: Sequence[bytes] = ()) -> str:
-    """Return 16 hexadecimal digits over all applications: names, programs, members and bindings.
+    """Return a hash, 16 hexadecimal digits, of all applications: their names, programs, members and bindings.
 
-    functions: content of each application's functions file; empty: there are none.
+    functions: content of each application's functions file; empty if no application has such a file.
     With one application on all robots, this is the hash of its program.
     """
     given = functions or [b""] * len(system.applications)
@@ -48,7 +48,7 @@ def system_hash(system: System, functions: Sequence[bytes] = ()) -> str:
 
 
 def system_interface_hash(system: System) -> str:
-    """Return 16 hexadecimal digits over wire format and the shared variables of all applications."""
+    """Return a hash, 16 hexadecimal digits, of the wire format and the shared variables of all applications."""
     if is_alone(system):
         return interface_hash(system.applications[0].program)
     parts = tuple(

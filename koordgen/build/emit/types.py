@@ -27,18 +27,18 @@ from koordgen.lang.ir.types import (
     Type,
 )
 
-# Most bytes of values of these types in MessagePack; equal to those of runtime/values/bounds.py (a test compares them).
+# Largest sizes of values in MessagePack, in bytes; equal to those of runtime/values/bounds.py (a test compares them).
 NUMBER = 9
 FIXED: dict[Type, int] = {
     BOOL: 1, INT: NUMBER, FLOAT: NUMBER, POINT: 1 + 3 * NUMBER, POSE: 1 + 1 + 3 * NUMBER + NUMBER, GRID: 1 + 3 * NUMBER
 }  # fmt: skip
-EXTERN_BYTES = 256  # most bytes of a value of an extern type
+EXTERN_BYTES = 256  # largest size of a value of an extern type, in bytes
 _SIZED = {"string": ("str", "Text"), "GridMap": ("GridMap", "Cells"), "Scan": ("Scan", "Rays")}
 _DEFAULTS: dict[Type, str] = {BOOL: "False", INT: "0", FLOAT: "0.0"}
 
 
 def annotation(type_: Type, names: Names) -> str:
-    """Return the Python annotation of a Koord type; for a planner, that of its result."""
+    """Return the Python annotation of a Koord type. For a planner it is the annotation of the planner's result."""
     match type_:
         case Scalar() if type_ == PLANNER:
             return _tuple(names.use("Point"), "...")
@@ -119,7 +119,7 @@ def with_floats(type_: Type) -> bool:
 
 
 def default(type_: Type, names: Names) -> str:
-    """Return the Python expression for the value of a type before any write."""
+    """Return the Python expression for the value that a variable of a type has before any write."""
     match type_:
         case Scalar():
             return _DEFAULTS.get(type_) or f"{names.use(type_.name)}()"
