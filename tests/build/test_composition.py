@@ -117,7 +117,8 @@ def test_one_program_may_be_two_applications(tmp_path: Path) -> None:
          "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): the exported "
          "type is int, the imported one float | write `int place[Mapping.N_SYS]`"),
         ("int place[Mapping.N_SYS]", "int place",
-         "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): the exported variable is allread"),
+         "task.koord:7: B012 place is not imported as mapping exports it (mapping.koord:4): the exported variable "
+         "is allread"),
         ("  List<int> found max 20\n", "  List<int> found max 20\n  int hidden\n",
          "task.koord:6: B012 mapping exports no variable hidden | write it under `export:` in mapping.koord; its "
          "declaration is mapping.koord:16"),
