@@ -26,10 +26,11 @@ from benchmarks.fixtures import spin
 from koordgen.build.pipeline import check_file, read_source
 from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
+from koordgen.verify.explore.breadth_first import ExplorationBounds
 from koordgen.verify.explore.environment import Environment, EnvironmentSteps, possible_answers
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import ExplorationBounds, Search
+from koordgen.verify.explore.search import Search
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 ELECTION = EXAMPLES / "election/election.koord"

@@ -33,6 +33,7 @@ LAYERS = {
     "koordgen.build.emit": ("_generated", "."),
     "koordgen.build.emit._generated": (".", "templates"),
     "koordgen.verify": ("replay", "prove", "follow", "explore", "audit", "attack"),
+    "koordgen.verify.explore": (".", "system"),
     "koordgen.verify.prove": ("smt", "encode", "obligations", "report"),
     "koordgen.experiment": ("campaign", "validate"),
     "koordgen.operate": ("host_tool", "."),

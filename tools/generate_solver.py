@@ -1,7 +1,8 @@
-"""Generator of the car's solver in C: `python -m tools.generate_solver`. `--check` only compares it with the file.
+"""Generator of mpc.c, the car's solver in C: `python -m tools.generate_solver`.
 
-mpc.c consists of the algorithm, solver.c.in, and of functions that CasADi derives from the model and from the steps of
-the Riccati recursion: sparse straight-line code without common subexpressions.
+With `--check`, the generated text is compared with mpc.c, and nothing is written. The text consists of the algorithm in
+solver.c.in and of functions that CasADi derives from the model and from the steps of the Riccati recursion: sparse
+straight-line code without common subexpressions.
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class Definition:
 class Token(NamedTuple):
     """One step of a walk over a syntax tree.
 
-    `key`: a text that is equal in both commits if the step is equal.
+    `key`: the text by which a step of one commit is compared with a step of the other one.
     `target`: the object that a name denotes. `literal`: a string that rules may replace.
     """
 
@@ -530,7 +530,7 @@ def differences(old: Commit, new: Commit, rules: Rules, paths: tuple[str, ...]) 
 
 
 def _meeting(module: Module, origins: dict[Definition, Definition]) -> Iterator[str]:
-    """Yield an error for each name that several modules of OLD defined and one module of NEW defines more than once."""
+    """Yield an error for each name that one module of NEW defines twice, after a move from several modules of OLD."""
     first: dict[str, Definition] = {}
     for other in module.statements:
         for name in other.names:
@@ -594,7 +594,7 @@ def _first(one: Definition, other: Definition) -> str:
     pairs = zip([*one.tokens, end[0]], [*other.tokens, end[1]], strict=False)
     a, b = next((a, b) for a, b in pairs if a.key != b.key)
     places = f"{one.module.path}:{a.line} -> {other.module.path}:{b.line}"
-    return f"{places}: {one.label} differs: {a.key}, then {b.key}"
+    return f"{places}: {one.label} differs: old {a.key}, new {b.key}"
 
 
 def _compared(one: Definition, other: Definition | None, paths: tuple[str, ...]) -> bool:

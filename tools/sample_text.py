@@ -24,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-_FEWEST_WORDS = 4  # of a message: shorter strings are names, keys and parts
+_FEWEST_WORDS = 4  # least number of words of a message; shorter strings are names, keys and fragments
 
 
 def texts(path: Path) -> Iterator[tuple[int, str, str]]:
@@ -49,7 +49,7 @@ def texts(path: Path) -> Iterator[tuple[int, str, str]]:
 
 
 def _message(node: ast.expr) -> str:
-    """Return a string as a user sees it, with `{...}` for what is put in; empty for what is no string."""
+    """Return the text of a string as a user sees it, with placeholders as `{...}`; "" if the node is no string."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):

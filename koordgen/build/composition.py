@@ -1,6 +1,6 @@
 """Composition of the programs of a fleet file's `applications`, and the checks of their interfaces.
 
-Each error stands in the file in which it can be mended, and names the other side with its file and line.
+Each error points into the file that the user should change, and names the other program's file and line.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ def _difference(mine: Shared, is_list: bool, theirs: Shared) -> str:
 
 
 def _type_difference(mine: Type, theirs: Type) -> str:
-    """Return how two types differ, or "". Equality of types ignores capacities, so it is of no use here."""
+    """Return a text on how two types differ, or "". `==` of types cannot be used: it ignores capacities."""
     if str(mine) != str(theirs):
         return f"it is {theirs} there, not {mine}"
     here, there = list(capacities(mine)), list(capacities(theirs))

@@ -95,16 +95,17 @@ def check_file(path: str) -> Checked:
 def check_alone(program: Program) -> list[Diagnostic]:
     """Report each import and each guarantee of a program.
 
-    A program that runs alone has no exporter. No tool but the check knows guarantees, so a program with guarantees is
-    refused instead of leaving them unproved without a word.
+    A program that runs alone has no exporter. No tool but the check and the proof of a fleet knows guarantees, so a
+    program with guarantees is refused instead of leaving them unproved without a word.
     """
-    only = "cannot be built, proved or explored yet, only checked"
-    help = "remove the import, and declare its variables in this program"
+    only = "cannot be built, proved or explored alone"
+    fleet = "list it under `applications:` in a fleet file, and prove that with `koordgen prove fleet.yaml`"
+    help = f"{fleet}; or remove the import, and declare its variables in this program"
     found = [
         Diagnostic("B011", "error", f"{i.name}: a program with imports {only}", i.span, help=help)
         for i in program.imports
     ]
-    help = "remove the guarantee; if the formula holds in every state, declare it as an invariant instead"
+    help = f"{fleet}; or remove the guarantee: if the formula holds in every state, declare it as an invariant"
     return found + [
         Diagnostic("B011", "error", f"{g.name}: a program with guarantees {only}", g.span, help=help)
         for export in program.exports
@@ -415,10 +416,11 @@ def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[
 
 
 def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChecks:
-    """Return the checks of names in a fleet file.
+    """Return the functions that check the names in a fleet file.
 
     `programs`: the fleet's only program under the name "", or the program of each application. Names of variables and
-    properties of an application begin with the application's name and a dot. `folders` may have the user's classes.
+    properties of an application begin with the application's name and a dot. `folders`: where the user's classes are
+    searched.
     """
     from functools import cache
 
@@ -444,7 +446,7 @@ def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChec
         possible = f"; possible positions: {', '.join(places)}" if places else ""
         return f"marker_list.variable is {name!r}: there is no shared list {name} {field}{possible}"
 
-    @cache  # most robots name the same class, and each inspection starts a process
+    @cache  # inspect a class once: most robots name the same class, and an inspection starts a process
     def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
         driver, folders_ = DriverClass(module, name), list(folders)
         return next(filter(None, (own_class(driver, methods, p, folders_) for p in programs.values())), "")

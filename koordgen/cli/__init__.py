@@ -177,9 +177,11 @@ def _prove(options: Namespace) -> int:
 
 
 def _explore(options: Namespace) -> int:
+    from koordgen.cli.base.values import is_fleet
     from koordgen.cli.verify.explore import explore
+    from koordgen.cli.verify.explore_system import explore_system
 
-    return explore(options)
+    return explore_system(options) if is_fleet(options.program) else explore(options)
 
 
 def _explain(options: Namespace) -> int:

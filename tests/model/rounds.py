@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
-from koordgen.runtime.net.layout import Contribution
-from koordgen.runtime.net.wire import View
+from koordgen.runtime.net.wire import Contribution, View
 from koordgen.runtime.replication import progress
 from koordgen.runtime.replication.apply import arbitrate
 from koordgen.runtime.replication.messages import Vote

@@ -131,7 +131,7 @@ def test_options_may_stand_before_paths(compare: Compare, tmp_path: Path) -> Non
 def test_a_move_with_a_changed_constant_fails_with_both_places(compare: Compare) -> None:
     status, printed = compare(APP, {**MOVED, "app/sizes.py": "\n" + LIMITS.replace("3", "5")})
     assert status == 1
-    assert "app/limits.py:1 -> app/sizes.py:2: assignment LIMIT differs: int 3, then int 5" in printed
+    assert "app/limits.py:1 -> app/sizes.py:2: assignment LIMIT differs: old int 3, new int 5" in printed
     assert "1 differences" in printed
 
 
@@ -144,7 +144,7 @@ def test_a_move_with_a_changed_constant_fails_with_both_places(compare: Compare)
         ("    from app.net.text import Line\n\n", "    from app.sizes import OTHER as Line\n\n", "open_link differs"),
         ("from __future__ import annotations\n", "", "from __future__"),
         ('"open_link"]', '"shut_link"]', "__all__ names shut_link"),
-        ("path or str", "path and str", "open_link differs: Or, then And"),
+        ("path or str", "path and str", "open_link differs: old Or, new And"),
         ("\n\ndef open_link", "\n\nEXTRA = 1\n\n\ndef open_link", "assignment EXTRA is new"),
         ("import app.net.text\n", "", "class Link differs"),
     ],

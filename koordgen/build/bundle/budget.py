@@ -160,7 +160,7 @@ def traffic_of(writes: int, robots: int, link: Medium, to_all: bool) -> Traffic:
     alone = on_the_medium(head, link.mtu)
     if writes <= room:
         datagrams, entry = 1, on_the_medium(head + writes, link.mtu)
-    else:  # fragments, and the round message that announces them
+    else:  # the fragments of an entry, and the round message that announces them
         full, rest = divmod(writes, room)
         datagrams = full + bool(rest) + 1
         entry = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
@@ -310,16 +310,20 @@ def most_bytes(type_: Type) -> int:
 
 
 def overhead(robots: int) -> int:
-    """Return the most bytes of a datagram without its entries: head, up to 8 clock echoes, a number for each robot.
+    """Return the largest size of a datagram without its log entries, in bytes.
 
-    In a fleet of one or two robots a Hello is longer than a round message, and counts.
+    A datagram has a head, up to 8 clock echoes, and a number for each robot. In a fleet of one or two robots, the
+    longest datagram is a Hello; in larger fleets it is a round message.
     """
     echoes = 20 * min(robots, 8)
     return echoes + max(152 + robots, 141 + 5 * robots + (2 if robots >= 16 else 0))
 
 
 def array_head(count: int, shortest: int, short: int) -> int:
-    """Return the bytes before `count` elements or bytes; fewer than `shortest` need one, fewer than `short` two."""
+    """Return the bytes of the header of an array or text of `count` items.
+
+    One byte suffices below `shortest` items, and two bytes suffice below `short` items.
+    """
     return 1 if count < shortest else 2 if count < short else 3 if count < 1 << 16 else 5
 
 

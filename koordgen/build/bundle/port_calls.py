@@ -120,7 +120,7 @@ class _CallCounter:
                 return self.robots if isinstance(held, PerRobot) else most
 
     def constant(self, node: expr.Expr) -> int | None:
-        """Return the value of an int that is constant in this build, else None."""
+        """Return the value of an int expression if it is constant in this build, otherwise None."""
         match node:
             case expr.Const(int(value)):
                 return value

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-TIMEOUT = 10.0  # seconds
+TIMEOUT = 10.0  # seconds until an import is abandoned
 METHODS = ("sense", "command", "call", "plan")  # methods of drivers and planners; the child reports which a class has
 
 
@@ -86,7 +86,7 @@ def _described(thing: Any) -> dict[str, Any] | None:
     found: dict[str, Any] = {"class": isinstance(thing, type)}
     try:
         parameters = inspect.signature(thing).parameters.values()
-    except (ValueError, TypeError):  # written in C: its parameters are unknown
+    except (ValueError, TypeError):  # a function written in C, whose parameters are unknown
         return {**found, "parameters": [], "required": 0, "any": True}
     by_position = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     found["parameters"] = [p.name for p in by_position]

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 
 SUMS = "SHA256SUMS"
 MARK = "# written by koordgen; a build replaces this folder while nothing in it is changed or added"
-STAGING = ".building-"  # prefix; the process id follows
+STAGING = ".building-"  # prefix of a staging folder's name; the process id follows
 
 
 class CannotWrite(Exception):
@@ -81,7 +81,7 @@ def _fill(folder: Path, files: Mapping[str, bytes]) -> None:
         if parent not in made:
             os.makedirs(parent, exist_ok=True)
             made.add(parent)
-        descriptor = os.open(full, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)  # takes half the time of `open`
+        descriptor = os.open(full, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)  # os.open takes half the time of `open`
         try:
             if os.write(descriptor, data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), full)

@@ -34,7 +34,7 @@ _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
 # Builtins that compare their arguments, or parts of them. `clear` and `path_distance` check for NaN themselves.
 _COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
-# Builtins that iterate over their arguments, as those of _COMPARING do.
+# Builtins that iterate over their arguments. Builtins in _COMPARING iterate over theirs, too.
 _SEARCHING = ("sum", "union", "intersection", "difference")
 
 
@@ -78,7 +78,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             return literal(value), _SIGN if negative else _ATOM
         case ir.Widen(ir.Const(value)):
             return repr(float(value)), _ATOM
-        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # the int -0 is 0, not -0.0
+        case ir.Widen(ir.Unary("-", ir.Const(value))) if value != 0:  # not for 0: the int -0 is 0, not -0.0
             return f"-{float(value)!r}", _SIGN
         case ir.Widen(operand):
             return _call_of("float", text(operand, names)), _ATOM
@@ -145,7 +145,7 @@ def change(node: ir.Expr, names: Names) -> str:
 
 
 def _explain(node: ir.Binary | ir.Logic, names: Names) -> None:
-    """Record an operator that the head of the module explains."""
+    """Record the operator of `node`, if the head of the generated module must explain it."""
     if node.type == INT and node.op in ("+", "-", "*") and not size.is_small(node):
         names.use("+")
     if node.op in ("//", "%") or (node.op == "/" and not is_nonzero_literal(node.right)):
@@ -278,7 +278,7 @@ def _call(node: ir.Expr, names: Names) -> str:
         case ir.PortCall(module, port, args):
             return _call_of(f"s.{names.ports[module, port]}", *_args(args, names))
         case _:  # a Range outside of a loop or quantifier
-            raise InternalError(f"a {type(node).__name__} has no place in an event")
+            raise InternalError(f"a {type(node).__name__} cannot occur in an event")
 
 
 def _args(args: tuple[ir.Expr, ...], names: Names) -> list[str]:
@@ -330,7 +330,7 @@ def _builtin(name: str, args: tuple[ir.Expr, ...], names: Names) -> str:
         return joined(counted, _call_of(".count", item))
     given = [_argument(arg, name, names) for arg in args]
     match name:
-        case "items":  # a map is the tuple of its pairs
+        case "items":  # generated code has a Map as a tuple of its pairs
             return given[0]
         case "sorted" | "reversed":
             return _call_of(names.use("made"), _call_of("tuple", _call_of(name, *given)))

@@ -44,7 +44,7 @@ class _Chain(_Code):
 
 
 class _Sequence(_Code):
-    """Adjacent parts; a line may be broken inside a part, never between two parts."""
+    """Adjacent parts of code. A line may be broken inside a part, never between two parts."""
 
     __slots__ = ()
 
@@ -63,7 +63,7 @@ def brackets(opening: str, items: Sequence[str], closing: str, dense: bool = Fal
 
 
 def display(items: Sequence[str]) -> str:
-    """Return a tuple of these items."""
+    """Return the code of a tuple of the given items."""
     if len(items) != 1:
         return brackets("(", items, ")", not any(isinstance(item, _Code) for item in items))
     found = _Brackets(f"({items[0]},)")
@@ -72,16 +72,16 @@ def display(items: Sequence[str]) -> str:
 
 
 def chain(*parts: str) -> str:
-    """Return operands with spaces between them."""
+    """Return the code of the given operands with spaces between them."""
     found = _Chain(" ".join(parts))
     found.parts = parts
     return found
 
 
 def longer(first: str, last: str) -> str:
-    """Return `first` with one more operand at its end.
+    """Return `first` with the operator and the operand in `last` appended.
 
-    If `first` is a chain, its operators must bind as strongly as that of `last`.
+    If `first` is a chain, its operators must have the same precedence as the operator in `last`.
     """
     return chain(*first.parts, last) if isinstance(first, _Chain) else chain(first, last)
 
@@ -97,7 +97,7 @@ def alternatives(parts: Sequence[str], otherwise: str, more: bool) -> str:
 
 
 def joined(*parts: str) -> str:
-    """Return the parts, concatenated without spaces."""
+    """Return code that consists of the given parts without spaces between them."""
     text = "".join(parts)
     if not any(isinstance(part, _Code) for part in parts):
         return text

@@ -1,7 +1,7 @@
 """Own-instance analysis: finds each `forall` over robots that a robot can evaluate for itself only.
 
-A robot does not know ports and locals of other robots. If an instance cannot be false on a robot but for the robot
-itself, its monitor evaluates its own instance alone, at a cost that does not grow with the fleet.
+A robot does not know ports and locals of other robots. If instances for other robots cannot be false on a robot, the
+robot's monitor evaluates its own instance alone, at a cost that does not grow with the fleet.
 
     forall i in ID: Motion.position[i] in box                   yes: no robot knows the positions of others
     forall i in ID: leader[i] < 0 or bid[j] >= 0                yes: evaluation stops at the unknown leader[i]

@@ -1,4 +1,4 @@
-"""IR program -> text of `program.py`. Imports and the line map are recorded while the text is made."""
+"""Generator of `program.py` from the IR. Records imports and the line map while it writes the text."""
 
 from __future__ import annotations
 

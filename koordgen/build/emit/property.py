@@ -118,7 +118,7 @@ def _left(kind: str, name: str, line: int, why: str, names: Names) -> tuple[str,
 
 
 def _property(page: Page, property_: ir.Property, program: ir.Program, names: _Names) -> tuple[str, int]:
-    """Add a property's function. Return its row."""
+    """Add the function of a property. Return the property's entry for `PROPERTIES`, and 0 as its line."""
     own = f"_{snake(property_.name)}" if property_.name else ""
     line = property_.span.line
     function = names.function(f"{property_.kind}{own}")
@@ -139,7 +139,7 @@ def _property(page: Page, property_: ir.Property, program: ir.Program, names: _N
 def _assumption(
     page: Page, module: ir.Module, assumption: ir.Assumption, program: ir.Program, names: _Names
 ) -> tuple[str, int]:
-    """Add an assumption's function. Return its row."""
+    """Add the function of an assumption. Return the assumption's entry for `PROPERTIES`, and 0 as its line."""
     line = assumption.span.line
     goals = [joined(f"{names.temp(g)}: ", annotation(type_, names)) for g, type_ in ir.goals(assumption).items()]
     function = names.function(f"assume_{snake(module.name)}")

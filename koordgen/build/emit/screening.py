@@ -22,16 +22,19 @@ _OPPOSITE = {">": "<=", ">=": "<", "<": ">=", "<=": ">", "==": "!=", "!=": "=="}
 
 
 class _Unsupported(Exception):
-    """Raised if a formula has no screening."""
+    """Raised if no screening exists for a formula."""
 
 
 def text(formula: ir.Expr, names: Names) -> str:
-    """Return the screening of an invariant; its batch of arrays is called `b`. Empty if there is none."""
+    """Return the screening of an invariant; "" if the invariant has none. The screening reads a batch of arrays `b`."""
     return _attempted(formula, {}, names)
 
 
 def text_of_each(formula: ir.Expr, names: Names) -> str:
-    """Return the screening of an assumption for all robots at once, which are along the first axis; empty if none."""
+    """Return the screening of an assumption for all robots at once; "" if the assumption has none.
+
+    The robots are along the first axis of the arrays.
+    """
     return _attempted(formula, {"": 0}, names)
 
 

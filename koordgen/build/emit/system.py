@@ -112,5 +112,5 @@ def _application(system: System, index: int, share: float | None) -> list[str]:
 
 
 def _tuple(names: Sequence[str]) -> str:
-    """Return a tuple of texts as Python."""
+    """Return the Python text of a tuple whose items are these texts."""
     return f"({', '.join(literal(name) for name in names)}{',' if len(names) == 1 else ''})"

@@ -65,7 +65,7 @@ def build(command: Parser) -> None:
 
 def prove(command: Parser) -> None:
     """Options of `koordgen prove`."""
-    _program(command)
+    _program_or_fleet(command)
     question = command.add_argument_group("what to prove")
     many = "number of robots: `any`, a number, or a range such as 3..15 (default: any)"
     question.add_argument("--robots", metavar="N", type=values.robots, default="any", help=many)
@@ -90,7 +90,7 @@ def prove(command: Parser) -> None:
 
 def explore(command: Parser) -> None:
     """Options of `koordgen explore`."""
-    _program(command)
+    _program_or_fleet(command)
     fleet = command.add_argument_group("fleet")
     many = f"number of robots, 1 to {values.MOST_ROBOTS} (default: that of the fleet file; without one, 3)"
     fleet.add_argument("--robots", metavar="N", type=values.fleet_size, help=many)

@@ -27,6 +27,7 @@ from koordgen.cli.base.console import (
 from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.verify.prove import hash_of, save
 from koordgen.fleet import manifest
+from koordgen.fleet.yaml_reader import Report
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir.decl import Program
@@ -34,17 +35,11 @@ from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.relations import is_order_of_agents
 from koordgen.lang.semantics.state import World, nobody
 from koordgen.lang.source import Source, Span
+from koordgen.verify.explore.breadth_first import ExplorationBounds, ExplorationProgress
 from koordgen.verify.explore.environment import Environment, EnvironmentSteps, MissingEnvironment, possible_answers
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import (
-    DEADLOCK,
-    ExplorationBounds,
-    ExplorationProgress,
-    ExplorationResult,
-    FoundViolation,
-    Search,
-)
+from koordgen.verify.explore.search import DEADLOCK, ExplorationResult, FoundViolation, Search
 from koordgen.verify.explore.show import document, itf, progress_text, report, trace
 from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.replay.functions import CannotCall, externs
@@ -58,11 +53,17 @@ def explore(options: Namespace) -> int:
     checked = check_file(options.program)
     if options.format == "text":
         print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
-    robots, from_fleet = _fleet(options, checked)
+    return explore_program(options, checked.program, *_fleet(options, checked))
+
+
+def explore_program(options: Namespace, checked: Program, robots: int, from_fleet: Mapping[str, Any]) -> int:
+    """Explore the program `options.program` on a fleet, print the result, and return the exit status.
+
+    `from_fleet`: the params in the fleet file."""
     try:
-        around = _environment(options, checked.program, robots)
+        around = read_environment(options, lambda source, note: environment(checked, robots, source, note))
         given = {**from_fleet, **around.params, **params(options.param)}
-        program = with_params(checked.program, given)
+        program = with_params(checked, given)
         result = _search(options, program, robots, around, lambda: _origin(options, program, robots, around, given))
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
@@ -80,7 +81,7 @@ def explore(options: Namespace) -> int:
             save(options.trace, trace(result.violation, program, about))
         if options.itf:
             save(options.itf, itf(result.violation, program))
-    return _status(result)
+    return status(result.violation is not None, result.stopped)
 
 
 def _origin(options: Namespace, program: Program, robots: int, around: Environment, given: Iterable[str]) -> RunOrigin:
@@ -93,11 +94,7 @@ def _search(
     options: Namespace, program: Program, robots: int, around: Environment, about: Callable[[], RunOrigin]
 ) -> ExplorationResult:
     line = ProgressLine(sys.stderr)
-
-    def show(progress: ExplorationProgress) -> None:
-        rate = progress.states / max(progress.seconds, 1e-9)
-        line.show(f"depth {progress.depth}: {progress_text(progress)}, {rate:,.0f} states/s")
-
+    show = progress_on(line)
     functions = options.functions or Path(options.program).with_name(f"{functions_module(program)}.py")
     bounds = ExplorationBounds(options.rounds, options.states, options.seconds)
     started = time.monotonic()
@@ -120,7 +117,7 @@ def _search(
             return result
         found = found._replace(of_agents=False)
         machine.discards.clear()
-        further = _further(bounds, found, result.progress)
+        further = further_bounds(bounds, found.run_states[-1].round, robots, result.progress)
         second = Search(
             machine, surroundings, further, time.monotonic, show, deadlock=found.name == DEADLOCK, as_agents=True,
         )  # fmt: skip
@@ -137,15 +134,27 @@ def _search(
         line.end()
 
 
-def _further(bounds: ExplorationBounds, found: FoundViolation, progress: ExplorationProgress) -> ExplorationBounds:
+def progress_on(line: ProgressLine) -> Callable[[ExplorationProgress], None]:
+    """Return the function that shows the progress of an exploration on a line of the terminal."""
+
+    def show(progress: ExplorationProgress) -> None:
+        rate = progress.states / max(progress.seconds, 1e-9)
+        line.show(f"depth {progress.depth}: {progress_text(progress)}, {rate:,.0f} states/s")
+
+    return show
+
+
+def further_bounds(
+    bounds: ExplorationBounds, rounds: int, units: int, progress: ExplorationProgress
+) -> ExplorationBounds:
     """Return the limits of the second search, which looks for a run that agents can execute.
 
     Agents commit only one transaction for each lock in a round. For one round of the language they may therefore need
-    as many rounds as there are robots."""
+    as many rounds as there are robots, or instances of applications: `units`. `rounds`: length of the run found first.
+    """
     states = max(MORE, progress.states)
     seconds = None if bounds.seconds is None else max(0.0, bounds.seconds - progress.seconds)
-    rounds = found.run_states[-1].round * len(found.run_states[0].state.robots)
-    return ExplorationBounds(rounds, min(states, bounds.states or states), seconds)
+    return ExplorationBounds(rounds * units, min(states, bounds.states or states), seconds)
 
 
 def _of_agents(found: FoundViolation, program: Program, about: RunOrigin, seconds: float | None) -> bool:
@@ -171,7 +180,10 @@ def _fleet(options: Namespace, checked: Checked) -> tuple[int, Mapping[str, Any]
     return options.robots or len(fleet.robots), params
 
 
-def _environment(options: Namespace, program: Program, robots: int) -> Environment:
+def read_environment(options: Namespace, read: Callable[[Source | None, Report], Environment | None]) -> Environment:
+    """Return the environment in the file that the options name. Raises Rejected, MissingEnvironment.
+
+    `read`: function that reads the file and reports mistakes in it."""
     source = read_source(options.env) if options.env else None
     found: list[tuple[Source, Diagnostic]] = []
 
@@ -179,15 +191,16 @@ def _environment(options: Namespace, program: Program, robots: int) -> Environme
         assert source is not None
         found.append((source, Diagnostic(code, "error", message, span, help=help)))
 
-    around = environment(program, robots, source, note)
+    around = read(source, note)
     if around is None:
         raise Rejected(found)
     return around
 
 
-def _status(result: ExplorationResult) -> int:
-    if result.violation is not None:
+def status(violated: bool, stopped: str) -> int:
+    """Return the exit status of an exploration. `stopped`: the reason why it ended early, or empty."""
+    if violated:
         return VIOLATED
-    if result.stopped == "interrupted":
+    if stopped == "interrupted":
         return INTERRUPTED
-    return INCONCLUSIVE if result.stopped else HOLDS
+    return INCONCLUSIVE if stopped else HOLDS

@@ -19,6 +19,7 @@ from koordgen.cli.base.console import (
     notify,
     print_diagnostics,
 )
+from koordgen.cli.base.values import is_fleet
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -41,6 +42,8 @@ def run(options: Namespace) -> int:
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
     if options.attack_from is not None:
+        if is_fleet(options.program):
+            raise Failure(USAGE, f"--attack-from is for a single program, not for the fleet file {options.program}", "")
         from koordgen.cli.verify.attack import attack_from_file
 
         return attack_from_file(options)
@@ -48,6 +51,13 @@ def run(options: Namespace) -> int:
     try:
         with solver_of(options.solver, limits) as solver:
             solver.start()  # the solver loads while this process imports the compiler and checks the program
+            if is_fleet(options.program):
+                from koordgen.cli.verify.composition import prove_fleet
+
+                found, files = prove_fleet(options, solver, _total(options))
+                if options.emit is not None:
+                    emit(options.emit, files)
+                return status(found)
             return prove_program(options, solver)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None

@@ -9,10 +9,12 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import permutations
 
 from koordgen.lang.ir import decl
+from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.state import NOTHING, State, Store, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, select
+from koordgen.lang.semantics.system import SystemState, view
 
 Environment = Callable[[State], Iterable[State]]
 # A state, the event that led to the state, the pid of the event's robot (None: all robots), the number of the round.
@@ -53,6 +55,21 @@ def choice(
         return None
     outcome = execute(program, event.effect, seen, pid, world) if ready else None
     return Step(pid, event.name, outcome) if isinstance(outcome, Writes) else None
+
+
+def instance_choices(
+    system: System, state: SystemState, begun: SystemState, number: int, world: World = NOTHING
+) -> list[Step]:
+    """Return all steps that the language allows an instance in a round: to skip the round, or to run one event.
+
+    As `choices`, on the instance's view of the system: events that are not atomic run on the shared variables of
+    `begun`, the state at the round's start, and atomic events on those of `state`. All events read the ports of their
+    robot as in `begun`, whatever other applications of the robot have commanded in this round.
+    """
+    instance = system.instances()[number]
+    program, start = system.applications[instance.application].program, view(system, begun, instance.application)
+    now = view(system, state, instance.application)._replace(robots=start.robots)
+    return choices(program, now, instance.pid, start.store, world)
 
 
 def post(program: decl.Program, state: State, order: Sequence[int], world: World = NOTHING) -> list[State]:

@@ -214,3 +214,19 @@ def _all_applied(system: System, state: SystemState, steps: Sequence[InstanceSte
     for done in steps:
         state = applied_to_system(system, state, done)
     return state
+
+
+def joined(system: System, views: Sequence[State]) -> SystemState:
+    """Return the state of a system whose applications have these views: the inverse of `view`."""
+    ports: list[Mapping[str, Value]] = [{} for _ in range(system.robots)]
+    for application, seen in zip(system.applications, views, strict=True):
+        for robot, held in zip(application.members, seen.robots, strict=True):
+            ports[robot] = {**ports[robot], **held.ports}
+    return SystemState(
+        tuple([seen.params for seen in views]),
+        tuple([_own_locals(a.program, seen.robots) for a, seen in zip(system.applications, views, strict=True)]),
+        tuple([tuple([robot.stopped for robot in seen.robots]) for seen in views]),
+        tuple([_own(system, index, seen.store) for index, seen in enumerate(views)]),
+        tuple(ports),
+        views[0].round,
+    )

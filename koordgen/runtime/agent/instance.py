@@ -19,7 +19,7 @@ from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.interface import unusable
 
 
-class InstanceRun(msgspec.Struct):
+class InstanceRun(msgspec.Struct, gc=False):
     """Event of instance number `place` of a robot in the present round.
 
     life: private state after an event with effects; None before it is known, or without effects."""

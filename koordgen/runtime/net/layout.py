@@ -18,6 +18,7 @@ from koordgen.runtime.net.wire import (
     MAX_ROBOTS,
     MOST_FRAGMENTS,
     MOST_WRITES,
+    Contribution,
     Entry,
     EntryPart,
     Write,
@@ -73,23 +74,6 @@ class Author:
     def may_want(self, lock: int) -> bool:
         """Return whether an event of the instance may have this lock, or none (-1)."""
         return lock < 0 or self.locks is None or lock in self.locks
-
-
-class Contribution:
-    """Event of one instance in a round, decoded from an entry.
-
-    slot: the instance's slot in the allread variables of its application.
-    acted, stopped, lock: see EntryPart. If the author has only this instance, the entry says whether it has stopped.
-    values: the event's writes, as pairs (index of the variable, value). A patch is an Unpatched object.
-    """
-
-    __slots__ = ("acted", "instance", "lock", "slot", "stopped", "values")
-
-    def __init__(
-        self, instance: int, slot: int, lock: int, acted: bool, stopped: bool, values: Sequence[tuple[int, Any]]
-    ) -> None:
-        self.instance, self.slot, self.lock = instance, slot, lock
-        self.acted, self.stopped, self.values = acted, stopped, values
 
 
 class Layout:
@@ -258,17 +242,20 @@ class Layout:
     ) -> Sequence[Contribution] | None:
         """Return the events of an entry whose author runs several instances. Parameters and result: see `read`."""
         found: list[Contribution] = []
-        if len(authors) < 2 or entry.lock >= 0 or entry.acted != any(part.acted for part in parts.values()):
+        acted = False
+        if len(authors) < 2 or entry.lock >= 0:
             return None
         for author in authors:
             part = parts.get(author.application)
             if part is None:
                 continue
-            values = self._read(author, part.writes)
-            if values is None or not author.may_want(part.lock):
+            writes, lock = part.writes, part.lock
+            values = self._read(author, writes) if writes else ()
+            if values is None or not author.may_want(lock):
                 return None
-            found.append(Contribution(author.number, author.pid, part.lock, part.acted, part.stopped, values))
-        return found if len(found) == len(parts) else None
+            acted = acted or part.acted
+            found.append(Contribution(author.number, author.pid, lock, part.acted, part.stopped, values))
+        return found if len(found) == len(parts) and acted == entry.acted else None
 
     def _read(self, author: Author, writes: Sequence[Write]) -> Sequence[tuple[int, Any]] | None:
         """Return the values of an instance's writes; None if the instance cannot have written them."""

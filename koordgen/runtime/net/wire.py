@@ -5,7 +5,8 @@ and ranges; `link` and the package `replication` check the meaning."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import msgspec
 
@@ -142,6 +143,23 @@ class Entry(Wired, frozen=True):
     awaits_commit: bool = False
     lock: Lock = -1
     writes: Writes | Parts = ()
+
+
+class Contribution(msgspec.Struct, frozen=True, gc=False):
+    """Event of one instance in a round, decoded from an entry. It is not sent.
+
+    instance: number of the instance.
+    slot: the instance's slot in the allread variables of its application.
+    acted, stopped, lock: see EntryPart. If the author has only this instance, the entry says whether it has stopped.
+    values: the event's writes, as pairs (index of the variable, value); a patch is a layout.Unpatched.
+    """
+
+    instance: int
+    slot: int
+    lock: int
+    acted: bool
+    stopped: bool
+    values: Sequence[tuple[int, Any]]
 
 
 class View(Wired, frozen=True):

@@ -7,7 +7,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from koordgen.runtime.net.layout import Contribution, Layout, Unpatched
+from koordgen.runtime.net.layout import Layout, Unpatched
+from koordgen.runtime.net.wire import Contribution
 
 Store = Mapping[str, Any]
 

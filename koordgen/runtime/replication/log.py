@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from koordgen.runtime.net.layout import Contribution
-from koordgen.runtime.net.wire import Entry, Write
+from koordgen.runtime.net.wire import Contribution, Entry, Write
 
 MOST_BEHIND_GAP = 64  # largest number of one author's entries kept while an earlier entry is missing
 

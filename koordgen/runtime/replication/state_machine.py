@@ -10,10 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from msgspec.structs import replace
-
-from koordgen.runtime.net.layout import Contribution, Layout
-from koordgen.runtime.net.wire import Entry, EntryPart, Snapshot, View
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.wire import Contribution, Entry, EntryPart, Snapshot, View
 from koordgen.runtime.replication.apply import Store, arbitrate, merge
 from koordgen.runtime.replication.log import EntryLog, Logged
 from koordgen.runtime.replication.schedule import Schedule
@@ -153,9 +151,8 @@ class StateMachine:
             first = round_
         incarnation = self.view.members[pid]
         if parts:
-            entry, events = self._with_parts(
-                Entry(pid, incarnation, first, round_, stopped, True, awaits_commit), parts
-            )
+            encoded, events = self._encoded(parts)
+            entry = Entry(pid, incarnation, first, round_, stopped, True, awaits_commit, -1, encoded)
         else:
             writes, values = self._layout.written(shared, self.shared, pid) if shared else ((), ())
             entry = Entry(pid, incarnation, first, round_, stopped, acted, awaits_commit, lock, writes)
@@ -167,8 +164,8 @@ class StateMachine:
         self._note_held(pid, first - 1)
         return entry
 
-    def _with_parts(self, entry: Entry, parts: Sequence[InstanceEvent]) -> tuple[Entry, list[Contribution]]:
-        """Return an own entry with the events of several instances, and the decoded events."""
+    def _encoded(self, parts: Sequence[InstanceEvent]) -> tuple[dict[int, EntryPart], list[Contribution]]:
+        """Return the events of several own instances as parts of an entry, and as other robots decode them."""
         encoded: dict[int, EntryPart] = {}
         events: list[Contribution] = []
         for part in parts:
@@ -176,7 +173,7 @@ class StateMachine:
             writes, values = self._layout.written(part.shared, self.shared, self._pid, part.place)
             encoded[author.application] = EntryPart(part.stopped, True, part.lock, writes)
             events.append(Contribution(author.number, author.pid, part.lock, True, part.stopped, values or ()))
-        return replace(entry, writes=encoded), events
+        return encoded, events
 
     def append(self, entry: Entry, round_: int) -> str | None:
         """Append another robot's entry, which arrived in round `round_`. Return why it is refused, or None.

@@ -82,7 +82,7 @@ class AttackReport(NamedTuple):
     def of(self, step: str, invariant: str) -> tuple[int, str]:
         """Return the number of states in which an invariant was evaluated after a step, and a reason.
 
-        The reason says why the number is 0; it is "" for another number."""
+        If the number is 0, the reason says why; otherwise it is ""."""
         count = self.states.get((step, invariant), 0)
         if count:
             return count, ""
@@ -214,7 +214,7 @@ class _AttackSearch:
         self.seen: set[tuple[object, ...]] = set()
         self.launched: dict[int, int] = {}
         self.runs: dict[str, int] = {}  # event name -> number of runs of the event
-        self.tried: dict[str, int] = {}  # step -> number of runs of the step from states of the solver, as estimated
+        self.tried: dict[str, int] = {}  # step -> estimated number of its runs from states that the solver found
         self.spent = False
         self.units = 0
         # (number of judged states, number of units of work) when the attack last found a new state

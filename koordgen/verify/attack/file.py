@@ -158,7 +158,7 @@ def read_trial(data: bytes, program: decl.Program, program_hash: str) -> TrialFi
         document = json.loads(data.decode("utf-8"), parse_constant=_no_constant, object_pairs_hook=_each_once)
     except RecursionError:
         raise BadFile("the file's JSON is nested too deeply") from None
-    except ValueError as error:  # base class of UnicodeDecodeError and JSONDecodeError
+    except ValueError as error:  # ValueError is the base class of UnicodeDecodeError and JSONDecodeError
         raise BadFile(f"the file is not valid JSON: {error}") from None
     file = _TrialReader(program)
     top = file.table(document, "the file", _TOP)

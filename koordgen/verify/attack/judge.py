@@ -288,7 +288,7 @@ class TrialJudge:
         """Run an event of robot `pid` that `ready` returned, and judge the state after the event.
 
         Returns None if the event is discarded for a reason that no verdict excludes. Raises UnusableStep."""
-        self.ports.begin(now, given)  # again, because `ports` may have served another state since the call of `ready`
+        self.ports.begin(now, given)  # again: after `ready`, `ports` may have served another state
         name = event.name
         try:
             outcome = execute(self.program, event.effect, _seen(event, start, now), pid, self.ports.world)

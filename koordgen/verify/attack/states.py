@@ -112,7 +112,7 @@ class States:
                 found[name] = pool[pid % len(pool)]
             else:
                 found[name] = self.random.choice(pool) if pool else self.value(type_, blank)
-        for name, sensor in self.held.items():  # a sensor that the program does not declare gets a drawn value
+        for name, sensor in self.held.items():  # draw a value for a sensor that the program does not declare
             found[name] = found[sensor] if sensor in found else self._elsewhere(name, blank, pid, attempt)
         robot = blank.robots[0]
         return robot._replace(ports={**robot.ports, **found})
@@ -273,7 +273,7 @@ def _spoken(program: decl.Program) -> tuple[list[Value], list[str]]:
     points: list[Value] = []
     texts: dict[str, None] = {}
     spoken = (program.params, program.functions, program.modules, program.events, program.properties)
-    for node in reversed(list(walk(spoken))):  # from the last constant of the program to the first
+    for node in reversed(list(walk(spoken))):  # visit the program's constants from the last to the first
         if isinstance(node, ir.Const):
             if type(node.value) is str:
                 texts[node.value] = None

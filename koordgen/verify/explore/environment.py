@@ -152,12 +152,7 @@ class EnvironmentSteps:
         """Return the values of a robot's sensors by name, from a list in the order of `Machine.sensors`.
 
         The values of sensors with `seen_from` are computed from the robot's position instead."""
-        found = dict(zip(self.machine.sensors, values, strict=True))
-        for name in found:
-            look = domains[name].seen_from
-            if look is not None:
-                found[name] = look(found[position_beside(self.machine.program, name)])
-        return found
+        return seen_from_position(domains, self.machine.program, dict(zip(self.machine.sensors, values, strict=True)))
 
     def moved(self, fleet: Packed) -> Iterator[Packed]:
         """Yield every state of the fleet that is possible after the environment's step from the state `fleet`.
@@ -181,7 +176,7 @@ class EnvironmentSteps:
             if key not in self._next_sensors:
                 domains = self.domains[pid]
                 pools = [
-                    [True] if name in robot.unset else self._nearby(domains[name], robot.sensors[name])
+                    [True] if name in robot.unset else nearby(domains[name], robot.sensors[name])
                     for name in self.machine.sensors
                 ]
                 news = [self._looked(domains, values) for values in product(*pools)]
@@ -190,24 +185,39 @@ class EnvironmentSteps:
             found = self._moves[pid, own] = tuple(moved)
         return found
 
-    def _nearby(self, domain: SensorDomain, now: Value) -> list[Value]:
-        return [v for v in domain.values if domain.near is None or domain.near(now, v)]
-
     def _allowed(self, pid: int, robot: PrivateState, new: Mapping[str, Any]) -> bool:
-        """Return whether the assumptions allow the sensors of a robot to change to the values `new`."""
-        program, types = self.machine.program, self.machine.types
-        before = {n: semantic_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
-        after = {**before, **new}
-        for module in program.modules:
-            for assumption in module.assumptions:
-                try:
-                    held = holds_assumption(
-                        assumption, program, before, after, pid, self.machine.n_sys, self.machine.params
-                    )
-                except Discarded as error:
-                    raise MissingEnvironment(f"{module.name}: an assumption has no value: {error}") from None
-                except NoMeaning as error:
-                    raise MissingEnvironment(f"{module.name}: an assumption cannot be evaluated: {error}") from None
-                if not held:
-                    return False
-        return True
+        return is_allowed(self.machine, pid, robot, new)
+
+
+def nearby(domain: SensorDomain, now: Value) -> list[Value]:
+    """Return the values that a sensor with the value `now` can have after a round."""
+    return [v for v in domain.values if domain.near is None or domain.near(now, v)]
+
+
+def seen_from_position(
+    domains: Mapping[str, SensorDomain], program: decl.Program, sensors: dict[str, Value]
+) -> dict[str, Value]:
+    """Return the values of a robot's sensors, after those with `seen_from` were computed from the robot's position."""
+    for name in sensors:
+        look = domains[name].seen_from
+        if look is not None:
+            sensors[name] = look(sensors[position_beside(program, name)])
+    return sensors
+
+
+def is_allowed(machine: Machine, pid: int, robot: PrivateState, new: Mapping[str, Any]) -> bool:
+    """Return whether a program's assumptions allow the sensors of a robot to change to the values `new`."""
+    program, types = machine.program, machine.types
+    before = {n: semantic_value(v, types[n]) for n, v in {**robot.sensors, **robot.actuators}.items()}
+    after = {**before, **new}
+    for module in program.modules:
+        for assumption in module.assumptions:
+            try:
+                held = holds_assumption(assumption, program, before, after, pid, machine.n_sys, machine.params)
+            except Discarded as error:
+                raise MissingEnvironment(f"{module.name}: an assumption has no value: {error}") from None
+            except NoMeaning as error:
+                raise MissingEnvironment(f"{module.name}: an assumption cannot be evaluated: {error}") from None
+            if not held:
+                return False
+    return True

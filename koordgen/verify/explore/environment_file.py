@@ -6,7 +6,7 @@ Each mistake in a file is reported with its line and column.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from decimal import Decimal
 from itertools import product
 from typing import Any
@@ -52,11 +52,15 @@ def environment(program: decl.Program, n_sys: int, source: Source | None, report
         if mistakes:
             return None
     for pid in range(n_sys):
-        _complete(found.of(pid), program, sensors, called)
+        check_completeness(found.of(pid), program)
     return found
 
 
-def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type], called: Sequence[str]) -> None:
+def check_completeness(found: Environment, program: decl.Program) -> None:
+    """Check that an environment has values for all ports of a program. Raises MissingEnvironment."""
+    ports = {f"{m.name}.{p.name}": p for m in program.modules for p in m.ports}
+    sensors = [name for name, p in ports.items() if p.direction == "sensor"]
+    called = [name for name, p in ports.items() if p.direction == "callable"]
     missing = [name for name in (*sensors, *called) if name not in found.domains and name not in found.answers]
     if missing:
         choice = f"answers, one of {', '.join(ANSWERS)}: name the answers"
@@ -64,7 +68,7 @@ def _complete(found: Environment, program: decl.Program, sensors: dict[str, Type
         others = f" (so do {', '.join(missing[1:])})" if missing[1:] else ""
         raise MissingEnvironment(f"{missing[0]} needs {kind} in a file for --env{others}")
     for name, answers in found.answers.items():
-        if STRAIGHT in answers and not position_beside(program, name):
+        if name in ports and STRAIGHT in answers and not position_beside(program, name):
             raise MissingEnvironment(
                 f"{name}: a straight path begins at the robot's position, but the module has no position sensor; list"
                 " the possible paths in the file for --env"

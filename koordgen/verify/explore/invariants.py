@@ -85,7 +85,7 @@ class Invariants:
         meant: dict[bool, list[decl.Property]] = {True: [], False: []}
         for property_ in machine.program.properties:
             if property_.kind == "invariant":
-                meant[not _calls(property_.formula, specs)].append(property_)
+                meant[not calls_spec(property_.formula, specs)].append(property_)
         self.properties, self.unchecked = tuple(meant[True]), tuple([p.name for p in meant[False]])
         spreads = [pair_formula(property_.formula) for property_ in self.properties]
         self._holds = [self._compiled(property_) for property_ in self.properties]
@@ -162,7 +162,8 @@ class Invariants:
         return found
 
 
-def _calls(formula: ir.Expr, specs: set[str]) -> bool:
+def calls_spec(formula: ir.Expr, specs: set[str]) -> bool:
+    """Return whether a formula calls one of the functions `specs`."""
     return any(isinstance(node, ir.Call) and node.name in specs for node in walk(formula))
 
 

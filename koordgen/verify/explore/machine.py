@@ -235,30 +235,38 @@ class Machine:
         """Return all states of the fleet that are possible after every robot has run `init`.
 
         Each robot's `init` reads the shared variables as they were before the first `init`."""
-        init = self.code.init
-        if init is None:
+        if self.code.init is None:
             return [fleet]
         found, seen = [fleet], fleet[self.n_sys :]
         for pid in range(self.n_sys):
-            robot = self.owns.values[fleet[pid]]
-            asking = self._asking(pid, robot)
-            frame = self.frame(pid, robot, seen, asking.call)
-            made: dict[RobotStep, None] = {}
-            for _ in asking.runs():
-                done = rt.run(self.code, init, self.code.begin(frame))
-                if isinstance(done, rt.Fault):
-                    self.discards.append(DiscardedEvent(pid, -1, fleet[pid], seen, done.line, done.reason))
-                else:
-                    made[self._noted(-1, pid, fleet[pid], seen, done)] = None
-            found = [self.applied(after, pid, choice) for after in found for choice in made]
+            choices = self.init_choices(pid, fleet[pid], seen)
+            found = [self.applied(after, pid, choice) for after in found for choice in choices]
         return found
+
+    def init_choices(self, pid: int, own: int, seen: Packed) -> tuple[RobotStep, ...]:
+        """Return the possible steps of a robot that runs `init` and reads the shared variables `seen`.
+
+        Without an `init`, returns no step. A discarded `init` makes no step, and is recorded in `discards`."""
+        init, robot = self.code.init, self.owns.values[own]
+        if init is None:
+            return ()
+        asking = self._asking(pid, robot)
+        frame = self.frame(pid, robot, seen, asking.call)
+        made: dict[RobotStep, None] = {}
+        for _ in asking.runs():
+            done = rt.run(self.code, init, self.code.begin(frame))
+            if isinstance(done, rt.Fault):
+                self.discards.append(DiscardedEvent(pid, -1, own, seen, done.line, done.reason))
+            else:
+                made[self._noted(-1, pid, own, seen, done)] = None
+        return tuple(made)
 
     def applied(self, fleet: Packed, pid: int, choice: RobotStep) -> Packed:
         """Return the state of the fleet after the step `choice` of robot `pid`."""
         made = list(fleet)
         made[pid], made[self.n_sys + pid] = choice.own, choice.slots
         if choice.cells != self.nothing:
-            made[-1] = self._cells(fleet[-1], choice.cells)
+            made[-1] = self.written(fleet[-1], choice.cells)
         return tuple(made)
 
     def watch(self, cells: Mapping[str, type[rt.Cell[Any]]]) -> None:
@@ -317,10 +325,10 @@ class Machine:
         """Pack a state of the executable semantics in which no robot has given a command yet."""
         robots = [self.own(self._own(robot)) for robot in state.robots]
         slots = [
-            self._slots(tuple([self._taken(name, state.store.slots[name][pid]) for name in self.allread]))
+            self._slots(tuple([self.taken(name, state.store.slots[name][pid]) for name in self.allread]))
             for pid in range(self.n_sys)
         ]
-        cells = tuple([self._taken(name, state.store.cells[name]) for name in self.allwrite])
+        cells = tuple([self.taken(name, state.store.cells[name]) for name in self.allwrite])
         return (*robots, *slots, self._cell_number(cells))
 
     def state(self, fleet: Packed, number: int = 1) -> State:
@@ -358,10 +366,14 @@ class Machine:
             held = zip(self.allread, self.slots.values[slots], strict=True)
             slots = self._slots(tuple([done.shared.get(name, value) for name, value in held]))
         cells = {name: done.shared[name] for name in self.allwrite if name in done.shared}
-        key = tuple([(name, self.key(name, value)) for name, value in cells.items()])
-        return RobotStep(index, own, slots, self.writes.number(key, cells))
+        return RobotStep(index, own, slots, self.cell_writes(cells))
 
-    def _cells(self, before: int, writes: int) -> int:
+    def cell_writes(self, values: Mapping[str, Any]) -> int:
+        """Return the number of writes to allwrite variables: name -> value."""
+        return self.writes.number(tuple([(name, self.key(name, value)) for name, value in values.items()]), values)
+
+    def written(self, before: int, writes: int) -> int:
+        """Return the number of the allwrite variables `before` after the writes `writes`, also a number."""
         found = self._written.get((before, writes))
         if found is None:
             new = self.writes.values[writes]
@@ -384,12 +396,13 @@ class Machine:
         return key
 
     def _own(self, robot: Robot) -> PrivateState:
-        ports = {name: self._taken(name, value) for name, value in robot.ports.items()}
-        locals_ = {name: self._taken(name, value) for name, value in robot.locals.items()}
+        ports = {name: self.taken(name, value) for name, value in robot.ports.items()}
+        locals_ = {name: self.taken(name, value) for name, value in robot.locals.items()}
         sensors = {name: ports[name] for name in self.sensors}
         return PrivateState(locals_, sensors, {name: ports[name] for name in self.actuators}, robot.stopped, self.unset)
 
-    def _taken(self, name: str, value: Any) -> Any:
+    def taken(self, name: str, value: Any) -> Any:
+        """Return a value of the semantics in the form in which the generated code has it."""
         return python_value(value, self.types[name], self.scope, self.names)
 
     def _meant(self, values: Mapping[str, Any]) -> dict[str, Any]:

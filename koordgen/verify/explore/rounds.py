@@ -12,13 +12,14 @@ turns any order of events into an order of phases, so no result is lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, NamedTuple, TypeVar
 
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.tree import walk
 from koordgen.verify.explore.machine import Machine, Packed, RobotStep
 
+T = TypeVar("T")
 # bit mask of the robots that have run an event, and the state of the fleet after these events
 Node = tuple[int, Packed]
 # step that led to a node: (node before the step, pid of the robot, index of the event)
@@ -41,35 +42,44 @@ class EventPhase(NamedTuple):
     ranked: bool
 
 
-def phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
+def event_phases(program: decl.Program, independence: bool, idle: Collection[int] = ()) -> tuple[EventPhase, ...]:
     """Group the events of a program, except the events in `idle`, into the phases of a round.
 
     Events of different phases commute. `independence`: whether the partial-order reduction is used. Without it, one
     phase contains all events, and every order of the robots is tried."""
     events = [event for event in range(len(program.events)) if event not in idle]
     if not independence:
-        return (_phase(program, events, True),) if events else ()
+        return (phase(program, events, True),) if events else ()
     allwrite = {v.name for v in program.shared if v.kind == "allwrite"}
-    access = {event: _access(program.events[event]) for event in events}
+    access = {event: shared_access(program.events[event]) for event in events}
 
     def conflict(a: int, b: int) -> bool:
         (reads, writes), (others_reads, others_writes) = access[a], access[b]
         return bool(writes & others_writes & allwrite or writes & others_reads or reads & others_writes)
 
-    groups: list[list[int]] = []
+    free, bound = conflict_groups(events, conflict)
+    ordered = tuple([phase(program, group, True) for group in bound])
+    return ((phase(program, free, False),) if free else ()) + ordered
+
+
+def conflict_groups(events: Sequence[T], conflict: Callable[[T, T], bool]) -> tuple[list[T], list[list[T]]]:
+    """Group events by their conflicts: the events without any conflict, and the groups that conflicts connect.
+
+    An event can conflict with itself, if two robots run it."""
+    groups: list[list[T]] = []
     for event in events:
         linked = [group for group in groups if any(conflict(event, other) for other in group)]
         if linked or conflict(event, event):
             groups = [group for group in groups if group not in linked]
-            groups.append(sorted([event, *(other for group in linked for other in group)]))
+            groups.append(sorted([event, *(other for group in linked for other in group)], key=events.index))
         else:
             groups.append([event])
     free = [g[0] for g in groups if len(g) == 1 and not conflict(g[0], g[0])]
-    bound = [_phase(program, group, True) for group in groups if group[0] not in free]
-    return ((_phase(program, free, False),) if free else ()) + tuple(bound)
+    return free, [group for group in groups if group[0] not in free]
 
 
-def _phase(program: decl.Program, events: list[int], ordered: bool) -> EventPhase:
+def phase(program: decl.Program, events: Sequence[int], ordered: bool) -> EventPhase:
+    """Return the phase with these events of a program."""
     alone = tuple([e for e in events if _reads_alone(program, program.events[e])])
     plain = tuple([e for e in events if e not in alone and program.events[e].lock is None])
     atomic = tuple([e for e in events if e not in alone and e not in plain])
@@ -89,7 +99,7 @@ def _reads_alone(program: decl.Program, event: decl.Event) -> bool:
     return True
 
 
-def _access(event: decl.Event) -> tuple[set[str], set[str]]:
+def shared_access(event: decl.Event) -> tuple[set[str], set[str]]:
     """Return the shared variables that an event reads when it runs, and the variables that it may write.
 
     A plain event reads all variables as of the start of the round, so the first set of a plain event is empty."""
@@ -113,14 +123,16 @@ class RoundExplorer:
     `representative`: function that replaces a robot's private state after its step by the private state that represents
         it in the search. Arguments: the pid, the number of the private state, and the shared variables. No robot reads
         the replaced state before the end of the round.
-    `as_agents`: explore only rounds that agents can execute (`is_order_of_agents` of the semantics)."""
+    `as_agents`: explore only rounds that agents can execute (`is_order_of_agents` of the semantics).
+    `phases`: the phases of a round; by default those of the program."""
 
     def __init__(
         self, machine: Machine, independence: bool = True, idle: Collection[int] = (), alike: bool = False,
         representative: Callable[[int, int, Packed], int] | None = None, as_agents: bool = False,
+        phases: tuple[EventPhase, ...] | None = None,
     ) -> None:  # fmt: skip
         self.machine, self.alike, self.representative, self.as_agents = machine, alike, representative, as_agents
-        self.phases = phases(machine.program, independence, idle)
+        self.phases = event_phases(machine.program, independence, idle) if phases is None else phases
         self._known: dict[tuple[tuple[int, ...], int, int, Packed], tuple[RobotStep, ...]] = {}
         self._prior: dict[tuple[tuple[int, ...], int, int, Packed], tuple[int, ...]] = {}
         self._alone: dict[Packed, tuple[RobotStep, ...]] = {}
@@ -145,7 +157,7 @@ class RoundExplorer:
                 # a robot that has not run an event in this round still has its private state of the round's start, and
                 # plain events read the shared variables of the round's start
                 for pid in range(n_sys):
-                    if choices := self._choices(number, pid, fleet, begun):
+                    if choices := self.choices(number, pid, fleet, begun):
                         found += self._all_of_one(found, pid, choices)
         return found
 
@@ -154,7 +166,7 @@ class RoundExplorer:
             (mask | 1 << pid, self.machine.applied(at, pid, choice))
             for mask, at in found
             if not mask >> pid & 1
-            for choice in self._choices(number, pid, at, begun)
+            for choice in self.choices(number, pid, at, begun)
         ]
 
     def _all_of_one(self, found: list[Node], pid: int, choices: tuple[RobotStep, ...]) -> list[Node]:
@@ -177,7 +189,7 @@ class RoundExplorer:
         for mask, at in pending:  # the loop body appends to `pending`
             for pid in robots:
                 if not mask >> pid & 1:
-                    for choice in self._choices(number, pid, at, begun):
+                    for choice in self.choices(number, pid, at, begun):
                         node = (mask | 1 << pid, self.machine.applied(at, pid, choice))
                         if node not in seen:
                             seen[node] = None
@@ -197,11 +209,11 @@ class RoundExplorer:
                 pending = list(found)
                 for node in pending:  # the loop body appends to `pending`
                     for pid in range(self.machine.n_sys):
-                        pending += self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
+                        pending += self._stepped(found, pid, node, self.choices(number, pid, node[1], begun))
             else:
                 for pid in range(self.machine.n_sys):
                     for node in list(found):
-                        self._stepped(found, pid, node, self._choices(number, pid, node[1], begun))
+                        self._stepped(found, pid, node, self.choices(number, pid, node[1], begun))
         return found
 
     def _ends_of_agents(self, fleet: Packed) -> dict[Node, Predecessor | None]:
@@ -243,7 +255,10 @@ class RoundExplorer:
                 added.append(following)
         return added
 
-    def _choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[RobotStep, ...]:
+    def choices(self, number: int, pid: int, fleet: Packed, begun: Packed) -> tuple[RobotStep, ...]:
+        """Return the possible steps of a robot in a phase of a round.
+
+        `number`: index of the phase. `fleet`: the present state. `begun`: the shared variables at the round's start."""
         phase, slot = self.phases[number], self.machine.n_sys + pid
         found: tuple[RobotStep, ...] = ()
         if phase.alone:

@@ -3,56 +3,51 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from collections.abc import Iterator
 from typing import Any
 
 from koordgen.lang.ir import decl
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Point
-from koordgen.verify.explore.search import (
-    DEADLOCK,
-    LOOP,
-    WELL_DEFINED,
-    ExplorationProgress,
-    ExplorationResult,
-    FoundViolation,
-)
+from koordgen.verify.explore.breadth_first import ExplorationProgress
+from koordgen.verify.explore.search import DEADLOCK, LOOP, WELL_DEFINED, ExplorationResult, FoundViolation
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.table import (
-    WIDTH,
     agent_order_text,
     failed_lines,
     own,
     run_state_lines,
     run_states_data,
+    wrapped,
 )
 from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 
 
-def verdict(result: ExplorationResult) -> str:
-    """Return the verdict of an exploration: VIOLATED, INCONCLUSIVE or HOLDS."""
-    if result.violation is not None:
+def verdict(violated: bool, stopped: str) -> str:
+    """Return the verdict of an exploration: VIOLATED, INCONCLUSIVE or HOLDS.
+
+    `stopped`: the reason why the exploration ended early; empty if everything was explored."""
+    if violated:
         return "VIOLATED"
-    return "INCONCLUSIVE" if result.stopped else "HOLDS"
+    return "INCONCLUSIVE" if stopped else "HOLDS"
 
 
 def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: int) -> str:
     """Return the result of an exploration as text for a terminal, at most 100 columns wide."""
-    lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result)}"]
-    lines += _wrapped(f"{_explored(result)}; {progress_text(result.progress)}")
+    lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result.violation is not None, result.stopped)}"]
+    lines += wrapped(extent(result.progress, result.violation is None and not result.stopped))
     if result.violation is not None:
         lines += ["", *_violation(result.violation, program), ""]
     elif result.stopped:
-        lines += _wrapped(f"ended by: {result.stopped}; no violation found so far")
+        lines += wrapped(f"ended by: {result.stopped}; no violation found so far")
     else:
         kept = [p.name for p in program.properties if p.kind == "invariant" and p.name not in result.unchecked]
-        lines += _wrapped(f"true in every state: {', '.join(kept) or 'the program has no invariants'}")
+        lines += wrapped(f"true in every state: {', '.join(kept) or 'the program has no invariants'}")
     if result.unchecked:
-        lines += _wrapped(f"not checked, since a spec fun cannot be evaluated: {', '.join(result.unchecked)}")
+        lines += wrapped(f"not checked, since a spec fun cannot be evaluated: {', '.join(result.unchecked)}")
     if result.unseen and result.violation is None:
         never = "never enabled" if not result.stopped else "not enabled so far"
-        lines += _wrapped(f"{never}: {', '.join(f'{e.name} (line {e.span.line})' for e in result.unseen)}")
+        lines += wrapped(f"{never}: {', '.join(f'{e.name} (line {e.span.line})' for e in result.unseen)}")
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
 
@@ -63,42 +58,42 @@ def progress_text(progress: ExplorationProgress) -> str:
     return f"{states}, {waiting}{progress.steps} steps, {progress.seconds:.2f} s"
 
 
-def _explored(result: ExplorationResult) -> str:
-    if result.violation is None and not result.stopped:
-        return f"explored completely, to depth {result.progress.depth}"
-    return f"explored to depth {result.progress.depth}"
+def extent(progress: ExplorationProgress, complete: bool) -> str:
+    """Return how much was explored, as text."""
+    return f"explored {'completely, ' * complete}to depth {progress.depth}; {progress_text(progress)}"
+
+
+def headline(name: str, of: str, rounds: int, shortest: int | None) -> str:
+    """Return the sentence that introduces the run to a violation.
+
+    `name`: the violated property. `of`: " of" and its application, or empty. `rounds`: number of rounds of the run.
+    `shortest`: number of rounds of the shortest run that the language allows; None if the run is this short."""
+    after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
+    what = {DEADLOCK: "deadlock", WELL_DEFINED: f"an event{of} without a result"}.get(name)
+    if name.startswith(LOOP):
+        what = f"the loop invariant on {name}{of} is violated"
+    fewer = "no run with fewer rounds leads to a violation"
+    if shortest is not None:
+        fewer = f"the language allows it after {shortest}, in an order of events that agents never use"
+    return f"{what or f'{name}{of} is violated'} {after}; {fewer}:"
 
 
 def _violation(found: FoundViolation, program: decl.Program) -> Iterator[str]:
-    rounds = found.run_states[-1].round
-    after = f"after {rounds} round{'s' * (rounds != 1)}" if rounds else "at the beginning"
-    what = {DEADLOCK: "deadlock", WELL_DEFINED: "an event without a result"}.get(found.name)
-    if found.name.startswith(LOOP):
-        what = f"the loop invariant on {found.name} is violated"
-    fewer = "no run with fewer rounds leads to a violation"
-    if found.shortest is not None:
-        fewer = f"the language allows it after {found.shortest}, in an order of events that agents never use"
-    yield from _wrapped(f"{what or f'{found.name} is violated'} {after}; {fewer}:")
+    yield from wrapped(headline(found.name, "", found.run_states[-1].round, found.shortest))
     yield from run_state_lines(found.run_states)
     if found.failed is not None:
         yield from failed_lines(found.failed, "", program.path)
     else:
         place = f"  ({program.path}:{found.line})" if found.line else ""
-        yield from _wrapped(f"  {found.reason}{place}")
-    yield from _wrapped(agent_order_text(found.of_agents))
-
-
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(
-        text, WIDTH, initial_indent="  ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-    )
+        yield from wrapped(f"  {found.reason}{place}")
+    yield from wrapped(agent_order_text(found.of_agents))
 
 
 def document(result: ExplorationResult, program: decl.Program, n_sys: int) -> dict[str, Any]:
     """Return the result of an exploration as data for JSON."""
     found = result.violation
     return {
-        "verdict": verdict(result),
+        "verdict": verdict(found is not None, result.stopped),
         "robots": n_sys,
         "complete": found is None and not result.stopped,
         "stopped": result.stopped or None,
@@ -146,25 +141,27 @@ def itf(found: FoundViolation, program: decl.Program) -> str:
     for index, run_state in enumerate(found.run_states):
         held = [{**own(run_state.state, pid), "stopped": run_state.state.robots[pid].stopped} for pid in robots]
         state: dict[str, Any] = {"#meta": {"index": index}, "step": run_state.event or "the beginning"}
-        state |= {"robot": _itf(-1 if run_state.pid is None else run_state.pid), "round": _itf(run_state.round)}
-        state |= {name: {"#map": [[_itf(pid), _itf(held[pid][name])] for pid in robots]} for name in names}
-        states.append(state | {name: _itf(run_state.state.store.cells[name]) for name in cells})
+        pid = -1 if run_state.pid is None else run_state.pid
+        state |= {"robot": itf_value(pid), "round": itf_value(run_state.round)}
+        state |= {name: {"#map": [[itf_value(pid), itf_value(held[pid][name])] for pid in robots]} for name in names}
+        states.append(state | {name: itf_value(run_state.state.store.cells[name]) for name in cells})
     meta = {"format": "ITF", "source": program.path, "description": f"{found.name} is violated"}
     document = {"#meta": meta, "vars": ["step", "robot", "round", *names, *cells], "states": states}
     return json.dumps(document, indent=1) + "\n"
 
 
-def _itf(value: Any) -> Any:
+def itf_value(value: Any) -> Any:
+    """Return a value as the Informal Trace Format writes it."""
     match value:
         case bool() | str():
             return value
         case int():
             return {"#bigint": str(value)}
         case Point(x, y, z):
-            return {"#tup": [_itf(x), _itf(y), _itf(z)]}
+            return {"#tup": [itf_value(x), itf_value(y), itf_value(z)]}
         case RecordValue(name, fields):
-            return {"#tup": [name, *map(_itf, fields)]}
+            return {"#tup": [name, *map(itf_value, fields)]}
         case tuple():
-            return [*map(_itf, value)]
+            return [*map(itf_value, value)]
         case _:
             return str(value)  # the format has no real numbers, so floats become strings

@@ -10,8 +10,8 @@ import pytest
 from koordgen.lang.semantics.composition import Application, System
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes
-from koordgen.lang.semantics.relations import choices
-from koordgen.lang.semantics.step import Step, initial, round_, run_init
+from koordgen.lang.semantics.relations import instance_choices
+from koordgen.lang.semantics.step import initial, round_, run_init
 from koordgen.lang.semantics.system import (
     InstanceStep,
     SystemState,
@@ -159,16 +159,12 @@ def leads(
     system: System, state: SystemState, after: SystemState, order: tuple[int, ...], events: dict[int, str | None]
 ) -> bool:
     """Return whether the steps in this order lead to `after`, each as relations.py allows it."""
-    instances, at = system.instances(), state
+    at = state
     for number in order:
-        instance = instances[number]
-        program = system.applications[instance.application].program
-        begun_ = view(system, state, instance.application).store
-        now = view(system, at, instance.application)
-        step = next((s for s in choices(program, now, instance.pid, begun_) if s.event == events[number]), None)
+        step = next((s for s in instance_choices(system, at, state, number) if s.event == events[number]), None)
         if step is None:
             return False
-        at = applied_to_system(system, at, InstanceStep(number, Step(instance.pid, step.event, step.outcome)))
+        at = applied_to_system(system, at, InstanceStep(number, step))
     return at._replace(round=after.round) == after
 
 

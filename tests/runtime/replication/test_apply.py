@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.net.layout import Contribution, Layout
-from koordgen.runtime.net.wire import Entry, Write
+from koordgen.runtime.net.layout import Layout
+from koordgen.runtime.net.wire import Contribution, Entry, Write
 from koordgen.runtime.replication.apply import arbitrate, merge, winner
 from tests.runtime.replication.states import acted, layout, silent, write
 

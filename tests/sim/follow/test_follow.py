@@ -256,7 +256,7 @@ def random_run(folder: Path, seed: int, robots: int, rounds: int) -> Path:
     program = check_file(str(folder / "app.koord")).program
     made, _ = explored(unjudged(program), robots, LEVEL, rounds, symmetry=False, deadlock=False)
     last = list(made.known)[-20:]
-    moments = tuple(made._run_to(last[Random(seed).randrange(len(last))]))
+    moments = made.run_to(last[Random(seed).randrange(len(last))])
     trace = folder / "cx.jsonl"
     trace.write_text(run_trace(program, moments, None, RunOrigin(program_hash(program))))
     return trace

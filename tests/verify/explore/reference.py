@@ -12,9 +12,10 @@ from koordgen.lang.semantics.property import holds_assumption, holds_property
 from koordgen.lang.semantics.relations import rounds
 from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial, run_init, sense
+from koordgen.verify.explore.breadth_first import ExplorationBounds
 from koordgen.verify.explore.environment import Environment, EnvironmentSteps, SensorDomain, possible_answers
 from koordgen.verify.explore.machine import Machine, Packed
-from koordgen.verify.explore.search import ExplorationBounds, ExplorationResult, Search
+from koordgen.verify.explore.search import ExplorationResult, Search
 from tests.verify.explore.random_programs import LEVELS
 
 LEVEL = Environment({"Dev.level": SensorDomain(LEVELS)}, {})

@@ -48,6 +48,76 @@ def test_a_violation_is_3_with_its_files(app: str, tmp_path: Path, capsys: pytes
     assert json.loads(trace.read_text().splitlines()[-1])["name"] == "Counted" and json.loads(itf.read_text())["states"]
 
 
+FLEET = """\
+delta: 0.1
+origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
+geofence: {lo: [-9, -9, 0], hi: [9, 9, 4]}
+insecure: true
+robots:
+  - {name: ann, target: quad, address: 127.0.0.1:47100, start: {position: [0, 0, 1]}}
+  - {name: bob, target: quad, address: 127.0.0.1:47101, start: {position: [3, 0, 1]}}
+applications:
+"""
+BUILDING = "export:\n  write List<int> done\n    guarantee Kept: len(done) <= len(done')\n"
+BUILDING += "param int most = 1\nallwrite: List<int> done max 9\n"
+BUILDING += "Put:\n  pre: len(done) < most\n  eff: atomic: done.append(pid)\n"
+TASK = "import Building:\n  write List<int> done max 9\nlocal: int seen\n"
+TASK += "Look:\n  pre: len(done) > seen\n  eff: seen += 1\n"
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> str:
+    """A fleet file with two applications, of which the second sees what the first exports."""
+    (tmp_path / "building.koord").write_text(BUILDING)
+    (tmp_path / "task.koord").write_text(TASK)
+    path = tmp_path / "fleet.yaml"
+    entries = "  - {name: building, program: building.koord, params: {most: 2}}\n"
+    entries += "  - {name: task, program: task.koord, robots: [bob], import: {Building: building}}\n"
+    path.write_text(FLEET + entries)
+    return str(path)
+
+
+def test_a_fleet_file_with_applications(fleet: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explore", fleet, "--no-deadlock"]) == 0
+    assert "2 applications, 2 robots: HOLDS" in capsys.readouterr().out
+    assert main(["explore", fleet, "--no-deadlock", "--rounds", "1"]) == 4
+    capsys.readouterr()
+    assert main(["explore", fleet]) == 3
+    assert "deadlock after" in capsys.readouterr().out
+    more = "Clear:\n  pre: len(done) > 1\n  eff: atomic: done = []\n"
+    (tmp_path / "task.koord").write_text(TASK.replace("Look:", f"{more}Look:"))
+    run, trace = tmp_path / "run.itf.json", tmp_path / "run.jsonl"
+    assert main(["explore", fleet, "--no-deadlock", "--format", "json", "--itf", str(run), "--trace", str(trace)]) == 3
+    told = json.loads(capsys.readouterr().out)["violation"]
+    assert (told["application"], told["what"], told["rounds"], told["shortest"]) == ("building", "Kept", 3, 1)
+    assert told["order_of_agents"] and told["run"][-1]["application"] == "task" and told["run"][-1]["robot"] == "bob"
+    assert json.loads(run.read_text())["states"][-1]["application"] == "task"
+    header, *records, end = map(json.loads, trace.read_text().splitlines())
+    assert header["applications"] == ["building", "task"] and end["application"] == "building"
+    acted = [(r["event"], r["application"], r["pid"]) for r in records if r.get("event") not in (None, "init")]
+    assert {r["skipped"] for r in records} == {None, "another robot's step", "another application's step"}
+    assert acted[-1] == ("Clear", "task", 1) and {("Put", "building")} <= {each[:2] for each in acted}
+
+
+def test_a_fleet_file_with_one_application_is_its_program(
+    fleet: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "app.koord").write_text(LOST)
+    Path(fleet).write_text(FLEET + "  - {name: only, program: app.koord}\n")
+    assert main(["explore", fleet]) == 3
+    told = capsys.readouterr().out
+    assert main(["explore", str(tmp_path / "app.koord"), "--robots", "2"]) == 3
+    assert told.partition("0.0")[0] == capsys.readouterr().out.partition("0.0")[0]
+
+
+@pytest.mark.parametrize("option", ["--robots=2", "--param=most=3", "--functions=f.py"])
+def test_options_of_one_program_are_refused_with_applications(
+    fleet: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["explore", fleet, option]) == 2
+    assert f"{option.partition('=')[0]} does not apply" in capsys.readouterr().err
+
+
 def test_deadlock_may_be_allowed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "app.koord"
     path.write_text(COUNT)

@@ -10,10 +10,11 @@ import pytest
 from koordgen.build.pipeline import check_file, read_source
 from koordgen.lang.analyze.params import with_params
 from koordgen.lang.ir.decl import Program
+from koordgen.verify.explore.breadth_first import ExplorationBounds
 from koordgen.verify.explore.environment import Environment, EnvironmentSteps, possible_answers
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
-from koordgen.verify.explore.search import ExplorationBounds, ExplorationResult, Search
+from koordgen.verify.explore.search import ExplorationResult, Search
 from tests.programs import programs_alone
 from tests.verify.explore.mutants import EXAMPLES, MUTANTS, Mutant
 

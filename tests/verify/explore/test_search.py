@@ -9,9 +9,10 @@ import pytest
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.values.points import Point
+from koordgen.verify.explore.breadth_first import ExplorationBounds
 from koordgen.verify.explore.environment import STRAIGHT, Environment, MissingEnvironment, SensorDomain
 from koordgen.verify.explore.environment_file import environment
-from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED, ExplorationBounds
+from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED
 from koordgen.verify.explore.show import document, itf, report, trace
 from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.prove.report.verdict import Question, prove

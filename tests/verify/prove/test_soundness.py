@@ -49,6 +49,22 @@ invariant Q: forall i in ID: Motion.target[i] == Point(0, 0, 0)
 """,
         "Q",
     ),
+    "a path that does not write a shared variable undid another robot's write": (
+        """
+allwrite: int n
+allread: bool done[N_SYS]
+Fill:
+  pre: n == 0 and done.count(True) == 0
+  eff: atomic: n = 5
+Mark:
+  pre: n == 0 and not done[pid]
+  eff:
+    done[pid] = True
+    if pid > 50: n = 0
+invariant Q: forall i in ID: not (done[i] and n == 5)
+""",
+        "Q",
+    ),
     "what a turn writes before it continues was lost where another way leaves the loop": (
         """
 local:

@@ -67,10 +67,10 @@ class Universal:
 
     def __init__(
         self, instance: Callable[[Term], Term], robots: bool, places: bool, inner: bool, label: str, line: int,
-        known_from: int,
+        file: str, known_from: int,
     ) -> None:  # fmt: skip
         self.instance, self.robots, self.places, self.inner = instance, robots, places, inner
-        self.label, self.line, self.known_from = label, line, known_from
+        self.label, self.line, self.file, self.known_from = label, line, file, known_from
         self.done: set[Term] = set()
 
 
@@ -111,7 +111,7 @@ class ProofContext:
         self.texts: dict[str, Term] = {}  # text of a string literal -> its constant
         self.versions: dict[int, tuple[int, Val]] = {}
         self.fresh = 0
-        self.label, self.line = "", 0  # default label and line of a new fact
+        self.label, self.line, self.file = "", 0, program.path  # default label, line and file of a new fact
         if robots is None:
             self.fact(t.at_most(t.integer(1), self.size), "the fleet has at least one robot", 0)
         if robots is not None and unrolled:
@@ -125,7 +125,7 @@ class ProofContext:
         A goal uses only facts that are known at the goal's own position."""
         if formula is not t.TRUE and self.known_from < self.seen.get(formula, 1 << 30):
             self.seen[formula] = self.known_from
-            found = LabelledFormula(label or self.label, formula, self.program.path, line or self.line, self.known_from)
+            found = LabelledFormula(label or self.label, formula, self.file, line or self.line, self.known_from)
             self.facts.append(found)
 
     def fact_if_reached(self, formula: Term, label: str = "", line: int = 0) -> None:
@@ -148,9 +148,7 @@ class ProofContext:
 
         The semantics discards an event as a whole if one of its operations has no value."""
         if formula is not t.TRUE:
-            self.demands.append(
-                LabelledFormula(label, t.implies(t.all_of(self.path), formula), self.program.path, line)
-            )
+            self.demands.append(LabelledFormula(label, t.implies(t.all_of(self.path), formula), self.file, line))
 
     @contextmanager
     def known_at(self, position: int) -> Iterator[None]:
@@ -194,12 +192,14 @@ class ProofContext:
                 self.granted.discard(robot)
 
     @contextmanager
-    def about(self, label: str, line: int) -> Iterator[None]:
-        kept, self.label, self.line = (self.label, self.line), label, line
+    def about(self, label: str, line: int, file: str = "") -> Iterator[None]:
+        """Within a `with` block, give new facts a label, a line and, unless it is the program's own, a file."""
+        kept, self.label, self.line = (self.label, self.line, self.file), label, line
+        self.file = file or self.file
         try:
             yield
         finally:
-            self.label, self.line = kept
+            self.label, self.line, self.file = kept
 
     @contextmanager
     def separate_demands(self) -> Iterator[list[LabelledFormula]]:
@@ -314,8 +314,8 @@ class ProofContext:
 
         `instance` returns the formula for one int, with the domain's bounds as a condition."""
         inner = inner or self.instantiating
-        known_from = self.known_from
-        self.universals.append(Universal(instance, robots, places, inner, self.label, self.line, known_from))
+        found = Universal(instance, robots, places, inner, self.label, self.line, self.file, self.known_from)
+        self.universals.append(found)
 
     def instantiate(self) -> None:
         """Instantiate universal formulas at every registered term, until no new term or formula appears.
@@ -345,7 +345,7 @@ class ProofContext:
         terms = [index for index in terms if index not in universal.done]
         if not terms:
             return
-        with self.about(universal.label, universal.line), self.known_at(universal.known_from):
+        with self.about(universal.label, universal.line, universal.file), self.known_at(universal.known_from):
             for index in terms:
                 universal.done.add(index)
                 self.fact(universal.instance(index))

@@ -96,10 +96,15 @@ class RoundStart:
     """State at the start of a round, reconstructed later in the same round for the robot `own`.
 
     The variables that only `own` writes, and the sensors in `shared`, are unchanged since the start of the round. They
-    are read from the state `now`. All other variables are read from the arbitrary state `other`."""
+    are read from the state `now`. All other variables are read from the arbitrary state `other`.
 
-    def __init__(self, now: SymbolicState, other: ArbitraryState, own: Term, shared: frozenset[Key]) -> None:
-        self.now, self.other, self.own, self.shared = now, other, own, shared
+    `foreign`: ports that another application on the same robot may have changed; those of `own` are not unchanged."""
+
+    def __init__(
+        self, now: SymbolicState, other: ArbitraryState, own: Term, shared: frozenset[Key],
+        foreign: frozenset[Key] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.now, self.other, self.own, self.shared, self.foreign = now, other, own, shared, foreign
         self.types, self.state_name = now.types, "@start"
         self.used = False
 
@@ -107,7 +112,7 @@ class RoundStart:
         if key in self.shared:
             return self.now.of(key, robot)
         self.used = True
-        if key[0] == "cell":
+        if key[0] == "cell" or key in self.foreign:
             return self.other.of(key, robot)
         own = self.other.context.same(robot, self.own)
         if isinstance(own, t.LiteralTerm):

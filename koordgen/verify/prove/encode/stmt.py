@@ -114,13 +114,15 @@ class SymbolicFrame:
         self.exits: list[Exit] = []
         self.heads: list[LoopHead] = []
         self.brief = False  # True to add fewer facts about loop iterations
+        # State from which the robot reads ports that another application may have changed since the round's start
+        self.sensed: Mapping[Key, SymbolicState] = {}
 
     def place(self) -> ProgramPoint:
         """Return the current program point, with a copy of all values."""
         copy = SymbolicFrame(
             self.e, self.pid, self.now, self.seen, self.ask, self.types, self.assume_at_head, self.encoding
         )
-        copy.env, copy.temps, copy.brief = dict(self.env), dict(self.temps), self.brief
+        copy.env, copy.temps, copy.brief, copy.sensed = dict(self.env), dict(self.temps), self.brief, self.sensed
         return ProgramPoint(copy, t.all_of(self.context.path), self.context.position, tuple(self.context.demands))
 
     def state(self) -> UpdatedState:
@@ -128,9 +130,21 @@ class SymbolicFrame:
 
         Each returned state has a unique name, so its variables differ from the variables of all other states."""
         assert self.now is not None
-        writes = {key: value for key, value in self.env.items() if key[0] != "wrote"}
+        writes = self.changes(self.env)
         self.context.fresh += 1
         return UpdatedState(self.context, self.now, self.pid, writes, f"@place{self.context.fresh}")
+
+    def changes(self, env: Env) -> Env:
+        """Return the variables of the state that have new values after the writes in `env`.
+
+        On a path that does not write an allwrite variable, the variable keeps its value in `now`, which another robot
+        may have written since the round's start. `env` has the value that the event reads there."""
+        found = {key: value for key, value in env.items() if key[0] != "wrote"}
+        for key, value in found.items():
+            if key[0] == "cell" and self.now is not None and self.seen is not self.now:
+                wrote = as_term(env.get(("wrote", key[1]), t.TRUE))
+                found[key] = pick(wrote, value, self.now.of(key, self.pid))
+        return found
 
     # Reads of variables and ports
 
@@ -139,7 +153,7 @@ class SymbolicFrame:
             return self.env[key]
         if key[0] == "temp":
             return self.temps[key[1]]
-        state = self.seen if key[0] in ("slot", "cell") else self.now
+        state = self.sensed.get(key) or (self.seen if key[0] in ("slot", "cell") else self.now)
         assert state is not None
         return state.of(key, self.pid)
 

@@ -7,7 +7,6 @@ preserves the invariants, at each instant of the step. docs/explanation/proofs.m
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Literal, NamedTuple
@@ -22,6 +21,27 @@ from koordgen.verify.prove.encode.state import ArbitraryState, HavockedState, Ro
 from koordgen.verify.prove.encode.stmt import LoopHead, SymbolicFrame
 from koordgen.verify.prove.encode.values import Val
 from koordgen.verify.prove.obligations.goal import goal, goal_at
+from koordgen.verify.prove.obligations.guarantees import (
+    FIRST_VALUES,
+    OTHERS,
+    REFLEXIVE,
+    TRANSITIVE,
+    assume_imports,
+    assume_launch,
+    assume_since_start,
+    assume_state,
+    goals_of_step,
+    init_guarantees,
+    of_first_values,
+    of_init_guarantees,
+    of_others,
+    of_reflexivity,
+    of_transitivity,
+    own_state_guarantees,
+    own_step_guarantees,
+    sensed_ports,
+)
+from koordgen.verify.prove.obligations.interface import ALONE, Interface
 from koordgen.verify.prove.obligations.interference import assume_interference
 from koordgen.verify.prove.obligations.loops import functions_with_invariants
 from koordgen.verify.prove.obligations.mission_start import (
@@ -29,41 +49,30 @@ from koordgen.verify.prove.obligations.mission_start import (
     LaunchState,
     StartState,
     assume_initially,
-    with_cleared_sensors,
+    cleared_sensors,
+)
+from koordgen.verify.prove.obligations.output import (
+    AFTERWARDS,
+    OF_TWO,
+    WELL_DEFINED,
+    Goal,
+    PartOutput,
+    named,
+    named_at_head,
 )
 from koordgen.verify.prove.obligations.part_encoder import Detail, PartEncoder, ProofProblem
 from koordgen.verify.prove.obligations.priority import assume_priority
 from koordgen.verify.prove.smt import term as t
-from koordgen.verify.prove.smt.obligation import HeadFormula, Kind, LabelledFormula, Obligation, StateCell, StateName
+from koordgen.verify.prove.smt.obligation import HeadFormula, Kind, LabelledFormula, Obligation, StateName
 from koordgen.verify.prove.smt.term import Term
 
-WELL_DEFINED = "(well-defined)"
-AFTERWARDS = " afterwards"
-OF_TWO = "(two robots)"
 # Names of the consistency obligations. Every program has them: they ask whether its assumptions are satisfiable.
 CONSISTENT = ("initially", "environment")
 
 
-class Goal(NamedTuple):
-    """Goal of a proof: an invariant, as conjuncts that must be proved.
-
-    `at`: the loop head and its formula, if the goal belongs to a loop's head; None for other goals.
-    `place`: "entry" or "turn" (the end of an iteration), if the goal belongs to a loop's head.
-    `position`: the goal may use only facts up to this position in the event.
-    `demands`: conditions that the goal may assume."""
-
-    invariant: str
-    conjuncts: tuple[LabelledFormula, ...]
-    at: HeadFormula | None = None
-    place: str = ""
-    line: int = 0
-    position: int = 1 << 30
-    demands: tuple[LabelledFormula, ...] = ()
-
-
 def obligations(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, detail: Detail = "usual",
-    dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None,
+    dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None, interface: Interface = ALONE,
 ) -> list[Obligation]:  # fmt: skip
     """Return all obligations of a checked program.
 
@@ -73,24 +82,25 @@ def obligations(
         counterexamples satisfy more facts. "little" omits the cells, which counterexamples need.
     `dropped`: formulas that are not assumed at heads of loops.
     `event`: return only the obligations of this event, of "init", "(environment)" or a function.
+    `interface`: the interface to the other applications of the fleet.
 
     To drop or add an invariant, pass a program without or with this invariant."""
     return [
         obligation
-        for group in obligation_groups(program, robots, params, detail, dropped, event)
+        for group in obligation_groups(program, robots, params, detail, dropped, event, interface)
         for obligation in group
     ]
 
 
 def obligation_groups(
     program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None, detail: Detail = "usual",
-    dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None,
+    dropped: frozenset[HeadFormula] = frozenset(), event: str | None = None, interface: Interface = ALONE,
 ) -> Iterator[list[Obligation]]:  # fmt: skip
     """Yield the obligations of a checked program in groups. The obligations of a group share their facts.
 
     The parameters are those of `obligations`."""
     t.forget()
-    problem = ProofProblem(program, robots, params, detail, dropped)
+    problem = ProofProblem(program, robots, params, detail, dropped, interface)
     if event is None:
         yield from ([obligation] for obligation in consistency(problem))
     for part in parts(problem):
@@ -124,12 +134,33 @@ def parts(problem: ProofProblem) -> Iterator[Part]:
         yield Part("base", "init", line, (WELL_DEFINED,), program.init, partial(of_init, problem))
     yield Part("base", "init", line, names, (), partial(base, problem))
     for event in program.events:
-        touched = tuple([p.name for p in problem.touched(problem.changed(event))])
+        changed = problem.changed(event)
+        touched = tuple([p.name for p in problem.touched(changed)] + [g.label for g in problem.interface.of(changed)])
         write = partial(of_event, problem, event)
         yield Part("event", event.name, event.span.line, (*touched, WELL_DEFINED), event.effect, write)
     touched = tuple([p.name for p in problem.touched(problem.sensors)])
     line = program.modules[0].span.line if program.modules else 1
     yield Part("environment", "(environment)", line, touched, (), partial(environment, problem))
+    if problem.interface is not ALONE:
+        yield from interface_parts(problem, line)
+
+
+def interface_parts(problem: ProofProblem, line: int) -> Iterator[Part]:
+    """Yield the parts that a program has because of its exports and imports."""
+    first = own_state_guarantees(problem)
+    if first:
+        names = tuple([g.label for g in first])
+        yield Part("guarantee", FIRST_VALUES, first[0].line, names, (), partial(of_first_values, problem))
+    after_init = init_guarantees(problem)
+    if after_init:
+        names = tuple([g.label for g in after_init])
+        yield Part("guarantee", "init", line, names, (), partial(of_init_guarantees, problem))
+    touched = tuple([p.name for p in problem.touched(problem.interface.moved)])
+    if touched:
+        yield Part("interference", OTHERS, line, touched, (), partial(of_others, problem))
+    for g in own_step_guarantees(problem):
+        for event, write in ((REFLEXIVE, of_reflexivity), (TRANSITIVE, of_transitivity)):
+            yield Part("guarantee", event, g.line, (g.label,), (), partial(write, problem, g))
 
 
 def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
@@ -145,11 +176,11 @@ def obligations_of(problem: ProofProblem, part: Part) -> list[Obligation]:
     found = []
     for name in part.invariants:
         kind: Kind = "well-defined" if name == WELL_DEFINED else part.kind
-        found.append(_too_large(problem, _named(name, part.kind, part.name), name, kind, part, reason))
+        found.append(_too_large(problem, named(name, part.kind, part.name), name, kind, part, reason))
     for loop in walk(part.block):
         if isinstance(loop, (stmt.For, stmt.While)):
             for at, _ in problem.loops.stated(loop):
-                name = _named_at_head(at.invariant, part.kind, part.name, loop.span.line, "entry")
+                name = named_at_head(at.invariant, part.kind, part.name, loop.span.line, "entry")
                 found.append(replace(_too_large(problem, name, at.invariant, "loop", part, reason), at=at))
     return found
 
@@ -165,21 +196,13 @@ def _too_large(problem: ProofProblem, name: str, invariant: str, kind: Kind, par
                       robots, (reason,), None, reason)  # fmt: skip
 
 
-def _named(invariant: str, kind: Kind, event: str) -> str:
-    where = {"base": "init", "environment": "environment"}.get(kind, event)
-    return f"{'well-defined' if invariant == WELL_DEFINED else invariant}-{where}"
-
-
-def _named_at_head(invariant: str, kind: Kind, event: str, line: int, place: str) -> str:
-    return f"{_named(invariant.replace(' ', '-'), kind, event)}-loop-{line}-{place}"
-
-
 def assumptions(
-    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None
-) -> list[Obligation]:
+    program: Program, robots: int | None = None, params: Mapping[str, ir.Expr] | None = None,
+    interface: Interface = ALONE,
+) -> list[Obligation]:  # fmt: skip
     """Return the obligations that ask whether a program's assumptions are satisfiable."""
     t.forget()
-    return consistency(ProofProblem(program, robots, params, "little"))
+    return consistency(ProofProblem(program, robots, params, "little", frozenset(), interface))
 
 
 def consistency(problem: ProofProblem) -> list[Obligation]:
@@ -213,7 +236,7 @@ def of_function(problem: ProofProblem, function: decl.Function) -> list[Obligati
     with context.separate_demands(), context.about(f"function {function.name}", function.span.line):
         frame.block(function.block)
     goals = at_heads(part_encoder, frame.heads)
-    out = _Output(part_encoder, "loop", function.name, function.span.line, part_encoder.close(), ())
+    out = PartOutput(part_encoder, "loop", function.name, function.span.line, part_encoder.close(), ())
     return out.all(goals, (), ())
 
 
@@ -225,22 +248,25 @@ def of_init(problem: ProofProblem) -> list[Obligation]:
     launch = LaunchState(part_encoder)
     run = InitRun(part_encoder, launch, part_encoder.context.acting("pid"))
     assume_initially(part_encoder, launch)
+    assume_launch(part_encoder, launch)
     goals = at_heads(part_encoder, run.frame.heads)
     cells = part_encoder.cells([("before", launch)])
-    out = _Output(part_encoder, "base", "init", program.init[0].span.line, part_encoder.close(), cells)
+    out = PartOutput(part_encoder, "base", "init", program.init[0].span.line, part_encoder.close(), cells)
     return out.all(goals, run.demands, ())
 
 
 def base(problem: ProofProblem) -> list[Obligation]:
     """Return the base case: the invariants hold after every robot's `init` has ended."""
     part_encoder, program = PartEncoder(problem), problem.program
-    ready = StartState(part_encoder)
+    ready = StartState(part_encoder, problem.interface.moved)
     assume_initially(part_encoder, ready.launch)
+    assume_launch(part_encoder, ready.launch)
+    assume_state(part_encoder, ready, problem.interface.foreign, " after init")
     part_encoder.context.some_robot("pid")
     goals = [Goal(p.name, goal(part_encoder, p, ready)) for p in problem.invariants]
     cells = part_encoder.cells([("before", ready.launch), ("after", ready)])
     line = program.init[0].span.line if program.init else 1
-    out = _Output(part_encoder, "base", "init", line, part_encoder.close(), cells)
+    out = PartOutput(part_encoder, "base", "init", line, part_encoder.close(), cells)
     return out.all(goals, (), ())
 
 
@@ -249,9 +275,12 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
     context = part_encoder.context
     own = context.acting("pid")
     now = ArbitraryState(context, problem.types)
-    round_start = RoundStart(
-        now, ArbitraryState(context, problem.types, "@start"), own, problem.sensors - problem.cleared
-    )
+    interface, unchanged = problem.interface, problem.sensors - problem.cleared
+    if interface is not ALONE:
+        unchanged = (unchanged | interface.pids) - interface.ports
+    other = ArbitraryState(context, problem.types, "@start")
+    round_start = RoundStart(now, other, own, unchanged, interface.ports)
+    sensed = sensed_ports(part_encoder, own, now, round_start)
     seen: SymbolicState = round_start if event.lock is None else now
 
     def ask(node: ir.PortCall, args: tuple[Val, ...]) -> Val:
@@ -259,7 +288,7 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
         part_encoder.answered(node, args, answer, own, now)
         return answer
 
-    assume_priority(part_encoder, event, own, now, round_start)
+    assume_priority(part_encoder, event, own, now, round_start, sensed)
     frame = SymbolicFrame(
         part_encoder.encoder,
         own,
@@ -270,7 +299,7 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
         part_encoder.assume_at_head,
         problem.loops.encoding,
     )
-    frame.brief = part_encoder.brief
+    frame.brief, frame.sensed = part_encoder.brief, sensed
     with context.separate_demands() as demands:
         with context.about(f"guard of {event.name}", event.guard.span.line):
             assume_guard(part_encoder, event.guard, frame)
@@ -278,18 +307,24 @@ def of_event(problem: ProofProblem, event: decl.Event) -> list[Obligation]:
         with context.about(f"effect of {event.name}", event.span.line):
             live = frame.block(event.effect)
     ends = t.any_of([live, *[t.all_of(e.path) for e in frame.exits]])
-    after = UpdatedState(context, now, own, with_cleared_sensors(program, frame.writes(), now, own), "@after")
+    writes = frame.writes()
+    changes = {**frame.changes(writes), **cleared_sensors(program, writes, now, own)}
+    after = UpdatedState(context, now, own, changes, "@after")
     part_encoder.holds(problem.invariants, now)
     goals = at_heads(part_encoder, frame.heads)
     goals += [Goal(p.name, goal(part_encoder, p, after)) for p in problem.touched(problem.changed(event))]
+    goals += goals_of_step(part_encoder, problem.changed(event), now, after)
+    assume_imports(part_encoder, now)
+    assume_state(part_encoder, now)
     context.instantiate()
     states: list[tuple[StateName, SymbolicState]] = [("before", now), ("after", after)]
     if round_start.used:
         part_encoder.holds(problem.invariants, round_start, when=" at the round's start")
         assume_interference(part_encoder, round_start, now)
+        assume_since_start(part_encoder, round_start, now)
         states.insert(0, ("round start", round_start))
     cells = part_encoder.cells(states)
-    out = _Output(part_encoder, "event", event.name, event.span.line, part_encoder.close(), cells)
+    out = PartOutput(part_encoder, "event", event.name, event.span.line, part_encoder.close(), cells)
     over = LabelledFormula(f"{event.name} ends", ends, program.path, event.span.line)
     found = out.all(goals, demands, (*demands, over))
     if any(part_encoder.is_assumed_of_calls(fact) for fact in out.facts):
@@ -323,33 +358,38 @@ def environment(problem: ProofProblem) -> list[Obligation]:
     after = HavockedState(now, ArbitraryState(part_encoder.context, problem.types, "@after"), problem.sensors)
     part_encoder.holds(problem.invariants, now)
     part_encoder.ports(now, after)
+    assume_imports(part_encoder, now)
+    assume_state(part_encoder, now)
     goals = [Goal(p.name, goal(part_encoder, p, after)) for p in problem.touched(problem.sensors)]
     if not goals:
         return []
     part_encoder.holds(problem.invariants, after, when=AFTERWARDS)
     cells = part_encoder.cells([("before", now), ("after", after)])
     lines = [m.span.line for m in problem.program.modules]
-    out = _Output(part_encoder, "environment", "(environment)", lines[0] if lines else 1, part_encoder.close(), cells)
+    line = lines[0] if lines else 1
+    out = PartOutput(part_encoder, "environment", "(environment)", line, part_encoder.close(), cells)
     return out.all(goals, (), ())
 
 
-def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obligation:
+def consistent(problem: ProofProblem, name: str, of_two: bool = False, robot: int = 0) -> Obligation:
     """Return an obligation that asks whether assumptions are satisfiable.
 
     `name`: selects the assumptions. "initially": those at the mission's start, about params, sensors, spec functions,
         contracts and answers of callable ports. "environment": those about a step of the environment from a state in
         which the invariants hold.
     `of_two`: ask about fleets of at least two robots. Assumptions that read `pid` may contradict one another for robot
-        1 although they agree for robot 0."""
+        1 although they agree for robot 0.
+    `robot`: the robot about which is asked first."""
     part_encoder = PartEncoder(problem, thorough=True)
     context = part_encoder.context
-    context.robot(t.integer(0), known=True)
+    context.robot(t.integer(robot), known=True)
     if of_two:
         context.fact(t.at_most(t.integer(2), context.size), "the fleet has at least two robots")
         context.robot(t.integer(1), known=True)
     if name == "initially":
         launch = LaunchState(part_encoder)
         assume_initially(part_encoder, launch)
+        assume_launch(part_encoder, launch)
         part_encoder.any_axioms()
         part_encoder.any_contracts()
         part_encoder.any_answers(ArbitraryState(context, problem.types))
@@ -359,9 +399,11 @@ def consistent(problem: ProofProblem, name: str, of_two: bool = False) -> Obliga
         after = HavockedState(now, ArbitraryState(context, problem.types, "@after"), problem.sensors)
         part_encoder.holds(problem.invariants, now)
         part_encoder.ports(now, after)
+        assume_imports(part_encoder, now)
+        assume_state(part_encoder, now)
         cells = part_encoder.cells([("before", now), ("after", after)])
     event = OF_TWO if of_two else ""
-    out = _Output(part_encoder, "consistency", event, 1, part_encoder.close(), cells)
+    out = PartOutput(part_encoder, "consistency", event, 1, part_encoder.close(), cells)
     return out.one(_named_of_assumptions(name, of_two), Goal("", ()), None, ())
 
 
@@ -383,88 +425,3 @@ def at_heads(part_encoder: PartEncoder, heads: Sequence[LoopHead]) -> list[Goal]
                 parts = goal_at(part_encoder, f"invariant {property_.name}", formula, scope, place.path)
                 found.append(Goal(at.invariant, parts, at, name, line, position, demands))
     return found
-
-
-class _Output:
-    """Builder of a part's obligations, which share the part's facts."""
-
-    def __init__(
-        self,
-        part_encoder: PartEncoder,
-        kind: Kind,
-        event: str,
-        line: int,
-        facts: tuple[LabelledFormula, ...],
-        cells: tuple[StateCell, ...],
-    ) -> None:
-        self.part_encoder, self.kind, self.event, self.line = part_encoder, kind, event, line
-        self.facts, self.cells = facts, cells
-        self.notes = tuple(part_encoder.context.notes)
-        self.traits = 0
-        for fact in facts:
-            self.traits |= fact.term.traits
-        self.names: Counter[str] = Counter()
-
-    def all(
-        self,
-        goals: Sequence[Goal],
-        demands: Sequence[LabelledFormula],
-        ended: tuple[LabelledFormula, ...],
-    ) -> list[Obligation]:
-        """Return one obligation per goal, and one obligation that all operations have values.
-
-        A goal may assume that all operations have values, because an event with an operation without a value is
-        discarded and changes nothing. `ended`: the condition that the effect has reached its end. Goals at a loop's
-        head do not assume `ended`."""
-        found = []
-        for wanted in goals:
-            if wanted.at is None:
-                found.append(self.one(_named(wanted.invariant, self.kind, self.event), wanted, None, ended))
-            else:
-                name = _named_at_head(wanted.invariant, self.kind, self.event, wanted.line, wanted.place)
-                found.append(self.one(name, wanted, "loop", wanted.demands))
-        parts = tuple([d for d in demands if d.term is not t.TRUE])
-        if parts:
-            name = _named(WELL_DEFINED, self.kind, self.event)
-            found.append(self.one(name, Goal(WELL_DEFINED, parts), "well-defined", ()))
-        return found
-
-    def one(self, name: str, wanted: Goal, kind: Kind | None, assumed: tuple[LabelledFormula, ...]) -> Obligation:
-        program, conjuncts = self.part_encoder.problem.program, wanted.conjuncts
-        self.names[name] += 1
-        if self.names[name] > 1:  # the loop is inside an unrolled loop, so the name is taken
-            name = f"{name}-{self.names[name]}"
-        goal = None
-        if self.kind != "consistency":
-            line = conjuncts[0].line if conjuncts else self.line
-            goal = LabelledFormula(wanted.invariant, t.all_of([c.term for c in conjuncts]), program.path, line)
-        facts = self.before(wanted) + assumed
-        for fact in (*assumed, *([goal] if goal else [])):
-            self.traits |= fact.term.traits
-        return Obligation(
-            name, kind or self.kind, wanted.invariant, self.event, program.path, self.line, self.logic(), facts,
-            goal, "sat" if goal is None else "unsat", conjuncts, self.cells,
-            self.part_encoder.problem.robots, self.notes, wanted.at,
-        )  # fmt: skip
-
-    def satisfiable(self, name: str, assumed: tuple[LabelledFormula, ...]) -> Obligation:
-        """Return an obligation that asks whether the event can reach its end.
-
-        The facts of the obligation include the assumptions about the event's calls."""
-        found = self.one(name, Goal("", ()), "consistency", assumed)
-        return replace(found, goal=None, expected="sat")
-
-    def before(self, wanted: Goal) -> tuple[LabelledFormula, ...]:
-        """Return the facts that a goal may use.
-
-        The result omits facts from later points of the event. It also omits facts that state, after the environment's
-        step, the goal's own invariant or a later invariant."""
-        names = [p.name for p in self.part_encoder.problem.invariants]
-        if wanted.invariant in names:
-            names = names[names.index(wanted.invariant) :]
-        later = {f"invariant {name}{AFTERWARDS}" for name in names}
-        return tuple([f for f in self.facts if f.position <= wanted.position and f.label not in later])
-
-    def logic(self) -> str:
-        """Return the smallest logic of SMT-LIB that contains all terms of the part."""
-        return f"QF_UF{'N' if self.traits & t.NONLINEAR else 'L'}{'IRA' if self.traits & t.REALS else 'IA'}"

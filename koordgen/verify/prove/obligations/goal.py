@@ -81,9 +81,7 @@ class _Goals:
             case _:
                 term = t.implies(guard, self.part_encoder.encoder.defined(formula, self.scope))
                 label = f"{self.name}{'' if self.part_encoder.brief else f': {formula_text(formula)}'}"
-                self.found.append(
-                    LabelledFormula(label, term, self.part_encoder.problem.program.path, formula.span.line)
-                )
+                self.found.append(LabelledFormula(label, term, self.context.file, formula.span.line))
 
     def of_others(self, robots: tuple[Term, ...]) -> bool:
         """Return whether none of the robots is the acting robot.

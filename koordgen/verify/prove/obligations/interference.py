@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from koordgen.lang.ir import decl, stmt
 from koordgen.lang.ir import expr as ir
-from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.tree import Part, walk
 from koordgen.verify.prove.encode.loop import conjuncts, temps_of, written
 from koordgen.verify.prove.encode.state import Key, RoundStart, SymbolicState
 from koordgen.verify.prove.encode.stmt import Env, SymbolicFrame
@@ -27,7 +27,9 @@ def assume_interference(part_encoder: PartEncoder, round_start: RoundStart, now:
     writers = {event.name: written(event.effect) for event in program.events}
     own = [key for key in part_encoder.problem.types if key[0] in ("local", "slot")]
     functional = {
-        e.name for e in program.events if part_encoder.problem.detail == "most" and _is_functional(e, program)
+        e.name
+        for e in program.events
+        if part_encoder.problem.detail == "most" and _is_functional(e, program) and not _reads(part_encoder, e.effect)
     }
 
     def instance(robot: Term) -> Term:
@@ -67,18 +69,28 @@ def _guard(part_encoder: PartEncoder, round_start: RoundStart, event: decl.Event
 
     The condition includes that the guards of events with higher priority are false. A transaction (an event with a
     lock) also reads values that other robots wrote since the round's start. Therefore only the conjuncts of its guard
-    that read the robot's own variables are used."""
+    that read the robot's own variables are used. A port that another application may change has no known value."""
     frame = SymbolicFrame(
         part_encoder.encoder, robot, round_start, round_start, _no_port, {}, part_encoder.assume_at_head
     )
     parts = []
     with part_encoder.context.separate_demands():
         for part in conjuncts(event.guard):
+            if _reads(part_encoder, part):
+                continue
             if event.lock is None or all(_own(key, part) for key in mentioned(part)):
                 parts.append(part_encoder.encoder.term(part, frame))
         for earlier in part_encoder.problem.program.earlier(event):
+            if _reads(part_encoder, earlier.guard):
+                continue
             parts.append(t.not_(part_encoder.encoder.term(earlier.guard, frame)))
     return t.all_of(parts)
+
+
+def _reads(part_encoder: PartEncoder, part: Part) -> bool:
+    """Return whether a part of the program reads a port that another application may change."""
+    ports = part_encoder.problem.interface.ports
+    return bool(ports) and not ports.isdisjoint(mentioned(part))
 
 
 def _is_functional(event: decl.Event, program: decl.Program) -> bool:

@@ -22,11 +22,11 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.term import Term
 
 
-def with_cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
-    """Return the variables that an event changes: its writes, and the sensors that its commands clear.
+def cleared_sensors(program: decl.Program, writes: Env, state: SymbolicState, robot: Term) -> Env:
+    """Return the sensors that the commands of an event may clear.
 
     A command clears a sensor by setting the sensor to false."""
-    found = {key: value for key, value in writes.items() if key[0] != "wrote"}
+    found: Env = {}
     commands: dict[Key, list[Term]] = {}
     for actuator, cleared in clears(program).items():
         if ("wrote", actuator) in writes:
@@ -44,7 +44,9 @@ class LaunchState:
     - A sensor that a command can clear is true. Every other sensor is arbitrary.
     - An actuator that holds at a sensor's value has this value. If the program does not declare the sensor, the
       actuator's value is arbitrary.
-    - Every other actuator has its default value."""
+    - Every other actuator has its default value.
+    - An imported variable is arbitrary: its first value is the exporter's. So is a robot's place among the exporter's
+      members."""
 
     state_name = "@launch"
 
@@ -57,7 +59,10 @@ class LaunchState:
         for record in program.records:
             self.records[record.type.name] = tuple([value(d, nowhere) for d in record.defaults])
         self.first: dict[Key, Val] = {("local", v.name): value(v.initial, nowhere) for v in program.locals}
-        for shared in program.shared:
+        imported = {name for each in program.imports for name in each.variables}
+        for each in program.imports:
+            del self.first["local", each.pid]
+        for shared in [v for v in program.shared if v.name not in imported]:
             self.first["slot" if shared.kind == "allread" else "cell", shared.name] = value(shared.initial, nowhere)
         self.ports = {name: port for name, _, port in ports(program)}
         self.held, self.cleared = held(program), clearable(program)
@@ -66,6 +71,8 @@ class LaunchState:
         if key in self.first:
             return self.first[key]
         name = key[1]
+        if key[0] != "port":
+            return self.sensed.of(key, robot)
         port = self.ports[name]
         if port.direction == "sensor":
             return t.TRUE if name in self.cleared else self.sensed.of(key, robot)
@@ -101,19 +108,21 @@ class InitRun:
             self.env = self.frame.writes()
         over = t.any_of([live, *[t.all_of(e.path) for e in self.frame.exits]])
         self.ended = t.all_of([over, *[demand.term for demand in self.demands]])
-        self.writes = with_cleared_sensors(part_encoder.problem.program, self.env, launch, robot)
+        self.writes = {**self.env, **cleared_sensors(part_encoder.problem.program, self.env, launch, robot)}
 
 
 class StartState:
     """State after every robot has run `init`.
 
-    If several robots write the same allwrite variable, the variable has the value of the robot with the highest pid."""
+    If several robots write the same allwrite variable, the variable has the value of the robot with the highest pid.
+    What the `init` of another application may have changed, `moved`, is arbitrary."""
 
     state_name = "@ready"
 
-    def __init__(self, part_encoder: PartEncoder) -> None:
-        self.part_encoder, self.launch = part_encoder, LaunchState(part_encoder)
+    def __init__(self, part_encoder: PartEncoder, moved: frozenset[Key]) -> None:
+        self.part_encoder, self.launch, self.moved = part_encoder, LaunchState(part_encoder), moved
         self.types = part_encoder.problem.types
+        self.others = ArbitraryState(part_encoder.context, self.types, "@others")
         self.runs: dict[Term, InitRun] = {}
         self.cells: dict[Key, Val] = {}
 
@@ -126,6 +135,8 @@ class StartState:
         return found
 
     def of(self, key: Key, robot: Term) -> Val:
+        if key in self.moved:
+            return self.others.of(key, robot)
         before = self.launch.of(key, robot)
         if not self.part_encoder.problem.program.init:
             return before

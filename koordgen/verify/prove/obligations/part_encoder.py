@@ -20,6 +20,7 @@ from koordgen.verify.prove.encode.scope import FleetScope, RobotScope, UnknownAn
 from koordgen.verify.prove.encode.state import Key, SymbolicState, UpdatedState, cleared, declared, sensors
 from koordgen.verify.prove.encode.stmt import LoopHead
 from koordgen.verify.prove.encode.values import Val, build, shape
+from koordgen.verify.prove.obligations.interface import ALONE, Interface
 from koordgen.verify.prove.obligations.loops import INIT, LoopInvariants
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, StateCell, StateName
@@ -42,13 +43,14 @@ class ProofProblem:
     `robots`: the number of robots; None for any number.
     `params`: the values of fixed params. All other params are arbitrary.
     `detail`: the amount of facts that are added.
-    `dropped`: formulas that are known not to hold at heads of loops."""
+    `dropped`: formulas that are known not to hold at heads of loops.
+    `interface`: the interface to the other applications of the fleet."""
 
     def __init__(
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
-        dropped: frozenset[HeadFormula] = frozenset(),
+        dropped: frozenset[HeadFormula] = frozenset(), interface: Interface = ALONE,
     ) -> None:  # fmt: skip
-        self.detail = detail
+        self.detail, self.interface = detail, interface
         pairs = any(_pairs(p.formula) for p in program.properties)
         self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}
@@ -229,7 +231,8 @@ class PartEncoder:
         calls = [(call, free) for call, free in decl.handed(part) if call.port == port.port]
         reads = [n for n in walk(part) if isinstance(n, ir.PortRead)]
         ports = {("port", f"{n.module}.{n.port}") for n in reads}
-        if not calls or not ports <= self.problem.sensors or any(n.primed for n in reads):
+        known = self.problem.sensors - self.problem.interface.ports
+        if not calls or not ports <= known or any(n.primed for n in reads):
             return
         call, free = calls[0]
         if len(call.args) != len(args):

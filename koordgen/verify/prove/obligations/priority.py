@@ -7,9 +7,11 @@ and slots, which no other robot changes, and the shared store at the round's sta
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
-from koordgen.verify.prove.encode.state import SymbolicState
+from koordgen.verify.prove.encode.state import Key, SymbolicState
 from koordgen.verify.prove.encode.stmt import SymbolicFrame
 from koordgen.verify.prove.encode.values import Val
 from koordgen.verify.prove.obligations.part_encoder import PartEncoder
@@ -18,13 +20,15 @@ from koordgen.verify.prove.smt.term import Term
 
 
 def assume_priority(
-    part_encoder: PartEncoder, event: decl.Event, own: Term, now: SymbolicState, round_start: SymbolicState
-) -> None:
+    part_encoder: PartEncoder, event: decl.Event, own: Term, now: SymbolicState, round_start: SymbolicState,
+    sensed: Mapping[Key, SymbolicState],
+) -> None:  # fmt: skip
     """Assume that earlier events of the event's `priority:` block cannot run in the robot `own`.
 
     The guards of the earlier events have values and are false.
     `now`: the state in which the robot acts.
-    `round_start`: the state at the round's start."""
+    `round_start`: the state at the round's start.
+    `sensed`: the states of ports that another application may have changed since then."""
     context = part_encoder.context
     for earlier in part_encoder.problem.program.earlier(event):
         with context.about(f"guard of {earlier.name} (earlier, by priority)", earlier.guard.span.line):
@@ -32,6 +36,7 @@ def assume_priority(
                 frame = SymbolicFrame(
                     part_encoder.encoder, own, now, round_start, _no_port, {}, part_encoder.assume_at_head
                 )
+                frame.sensed = sensed
                 guard = part_encoder.encoder.term(earlier.guard, frame)
             for demand in demands:
                 context.fact(demand.term)

@@ -14,6 +14,7 @@ from koordgen.lang.semantics.exact import exact
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value as KoordValue
 from koordgen.verify.prove.obligations.generate import obligations
+from koordgen.verify.prove.obligations.interface import ALONE, Interface
 from koordgen.verify.prove.report.model import Counterexample, run_model, with_values
 from koordgen.verify.prove.report.model_reader import ModelReader, Unshowable, flat
 from koordgen.verify.prove.report.reach import CounterexampleRun, SearchBounds, run_to
@@ -43,7 +44,8 @@ class FailureExplanation(NamedTuple):
     `lacking`: conjuncts that would make the invariant inductive.
     `with_defaults`: whether the invariant is proved if the params have their default values.
     `unassumed`: sensors about which the program assumes nothing.
-    `supposed`: assumptions about the `unassumed` sensors that, together with `lacking`, prove the invariant."""
+    `supposed`: assumptions about the `unassumed` sensors that, together with `lacking`, prove the invariant.
+    `hint`: a sentence about the reason, if the counterexample shows a common one."""
 
     counterexample: Counterexample | None
     run: CounterexampleRun | None
@@ -52,6 +54,7 @@ class FailureExplanation(NamedTuple):
     with_defaults: bool = False
     unassumed: tuple[str, ...] = ()
     supposed: tuple[str, ...] = ()
+    hint: str = ""
 
 
 class Explainer:
@@ -67,13 +70,17 @@ class Explainer:
         dropped: frozenset[HeadFormula] = frozenset(),
     ) -> None:
         self.program, self.robots, self.params, self.solver, self.proved = program, robots, params, solver, proved
-        self.dropped = dropped
-        self.made: dict[tuple[decl.Program, int, str, HeadFormula | None], list[Obligation]] = {}
+        self.dropped, self.interface = dropped, ALONE
+        self.made: dict[tuple[decl.Program, int, str, HeadFormula | None, Interface], list[Obligation]] = {}
 
-    def explain(self, name: str, group: Iterable[ObligationResult], relied: decl.Program) -> FailureExplanation:
-        """Explain why obligations of the invariant `name` fail.
+    def explain(
+        self, name: str, group: Iterable[ObligationResult], relied: decl.Program, interface: Interface = ALONE
+    ) -> FailureExplanation:
+        """Explain why obligations of the invariant or guarantee `name` fail.
 
-        `relied`: the program with the invariants that these obligations assumed."""
+        `relied`: the program with the invariants that these obligations assumed.
+        `interface`: the interface with the guarantees that these obligations assumed."""
+        self.interface = interface
         try:
             return self._explained(name, group, relied)
         except EncodingTooLarge as error:
@@ -92,7 +99,10 @@ class Explainer:
         if shown is None:
             return FailureExplanation(None, None, why, ())
         if invariant is None:
-            return FailureExplanation(shown, None, "", (), self.holds_with_defaults(name, relied))
+            hint = overwritten(relied, shown, self.interface)
+            return FailureExplanation(shown, None, "", (), self.holds_with_defaults(name, relied), hint=hint)
+        if self.interface is not ALONE:  # a run of one application alone is no run of the fleet
+            return FailureExplanation(shown, None, "", self.lacking(self.proved, invariant) or ())
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})
         run = run_to(program, invariant_of(program, name), _values(shown), SearchBounds(), self.robots)
@@ -111,12 +121,15 @@ class Explainer:
         free = {p.name: p.default for p in relied.params if self.free(p.name)}
         if not free:
             return False
-        made = obligations(relied, self.robots, {**(self.params or {}), **free}, dropped=self.dropped)
+        made = obligations(
+            relied, self.robots, {**(self.params or {}), **free}, "usual", self.dropped, None, self.interface
+        )
         own = [o for o in made if o.invariant == name and o.kind != "consistency"]
         return all(self.solver.ask(o, most=QUERY_SECONDS).result == o.expected for o in own)
 
     def free(self, param: str) -> bool:
-        return self.params is None or param not in self.params
+        imported = self.interface is not ALONE and "." in param
+        return not imported and (self.params is None or param not in self.params)
 
     def counterexample(self, obligation: Obligation, relied: decl.Program) -> Counterexample:
         """Return a counterexample in the smallest possible fleet.
@@ -138,7 +151,7 @@ class Explainer:
                     reader.answered(answer.values)
                     try:
                         with ends(Deadline(time.monotonic, until)):
-                            return run_model(program, same, reader, robots)
+                            return run_model(program, same, reader, robots, self.interface)
                     except Unshowable as error:
                         reasons.append(str(error))
                     except OutOfTime:
@@ -164,10 +177,10 @@ class Explainer:
         """Return all obligations of one event, for a fleet of `robots` robots.
 
         If the failed formula belongs to a loop's head, the formula was dropped. The new obligations assume it again."""
-        key = (program, robots, failed.event, failed.at)
+        key = (program, robots, failed.event, failed.at, self.interface)
         if key not in self.made:
             dropped = self.dropped - {failed.at}
-            self.made[key] = obligations(program, robots, self.params, "most", dropped, failed.event)
+            self.made[key] = obligations(program, robots, self.params, "most", dropped, failed.event, self.interface)
         return self.made[key]
 
     def lacking(self, proved: decl.Program, invariant: decl.Property) -> tuple[str, ...] | None:
@@ -181,7 +194,7 @@ class Explainer:
             bad: set[str] = set()
             # Ask about any number of robots: an invariant that is proved for any number holds for this number, too. The
             # solver decides these obligations faster.
-            for obligation in obligations(program, None, self.params, dropped=self.dropped):
+            for obligation in obligations(program, None, self.params, "usual", self.dropped, None, self.interface):
                 if obligation.invariant in names - bad and obligation.kind != "consistency":
                     if time.process_time() + solving > until:
                         return frozenset()
@@ -194,6 +207,24 @@ class Explainer:
         if proved is not self.proved and proves(base, frozenset({invariant.name})):
             return ()
         return strengthening(base, invariant.name, proves) or None
+
+
+def overwritten(program: decl.Program, shown: Counterexample, interface: Interface) -> str:
+    """Return a sentence if a plain event breaks a guarantee by a value that it computed from a stale one.
+
+    The event read the variable at the round's start. Since then another robot has written it, and the event undoes
+    that write."""
+    event = next((e for e in program.events if e.name == shown.event), None)
+    wanted = next((g for g in interface.guarantees if g.label == shown.invariant), None)
+    if event is None or event.lock is not None or wanted is None or wanted.key[0] != "cell":
+        return ""
+    name = wanted.key[1]
+    if not wanted.is_step or shown.begun.cells[name] == shown.before.store.cells[name]:
+        return ""
+    return (
+        f"another robot may have written {name} since the round's start, and {event.name} overwrites its value: "
+        f"write {name} under `atomic`"
+    )
 
 
 def _usual(obligation: Obligation, program: decl.Program) -> Iterator[Term]:

@@ -27,6 +27,8 @@ from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_pr
 from koordgen.lang.semantics.values import RecordValue, Value
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
+from koordgen.verify.prove.obligations.guarantees import TRANSITIVE
+from koordgen.verify.prove.obligations.interface import ALONE, GuaranteeInScope, Interface
 from koordgen.verify.prove.report.model_reader import ModelAnswers, ModelReader, Unshowable
 from koordgen.verify.prove.smt.obligation import Obligation, StateCell, StateName
 
@@ -67,8 +69,11 @@ class Counterexample(NamedTuple):
 class ModelStates:
     """States of the program, built from the variables' values in a solver's model."""
 
-    def __init__(self, program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> None:
-        self.obligation = obligation
+    def __init__(
+        self, program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int,
+        interface: Interface = ALONE,
+    ) -> None:  # fmt: skip
+        self.obligation, self.interface = obligation, interface
         self.robots = robots
         self.reader = reader
         params = {c.name: self.value(c) for c in obligation.cells if c.name in {p.name for p in program.params}}
@@ -134,14 +139,17 @@ def exact_all(values: Mapping[str, Value]) -> dict[str, Value]:
     return {name: made_exact(value) for name, value in values.items()}
 
 
-def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int) -> Counterexample:
+def run_model(
+    program: decl.Program, obligation: Obligation, reader: ModelReader, robots: int, interface: Interface = ALONE
+) -> Counterexample:
     """Run the step of a model with the executable semantics.
 
     `program`: the program with exact numbers and with the invariants that may be assumed.
     `reader`: the reader that has read the model's values.
+    `interface`: the interface with the guarantees that may be assumed.
     Raises Unshowable if the run does not fail as the solver claims."""
     try:
-        reading = ModelStates(program, obligation, reader, robots)
+        reading = ModelStates(program, obligation, reader, robots, interface)
         match obligation.kind:
             case "base":
                 return _base(reading)
@@ -151,7 +159,11 @@ def run_model(program: decl.Program, obligation: Obligation, reader: ModelReader
                 return _init(reading)
             case "loop" if obligation.event not in {event.name for event in program.events}:
                 raise Unshowable("iterations of loops are run only in events")
-            case "event" | "well-defined" | "loop":
+            case "interference":
+                return _others(reading)
+            case "guarantee" if obligation.event not in {event.name for event in program.events}:
+                return _guarantee(reading)
+            case "event" | "well-defined" | "loop" | "guarantee":
                 return _event(reading)
             case _:
                 raise InternalError(f"{obligation.name} has no counterexample")
@@ -196,7 +208,7 @@ def _environment(reading: ModelStates) -> Counterexample:
         old._replace(ports={**old.ports, **{name: new.ports[name] for name in sensors}})
         for old, new in zip(before.robots, after.robots, strict=True)
     ]
-    _relied_upon(program, before)
+    _relied_upon(reading, before)
     for pid, (old, new) in enumerate(zip(before.robots, moved, strict=True)):
         if not is_allowed(program, old.ports, new.ports, pid, before):
             raise Unshowable("the step of the counterexample violates an assumption")
@@ -226,8 +238,9 @@ def _event(reading: ModelStates) -> Counterexample:
     begun = start.store
     event = next(e for e in program.events if e.name == obligation.event)
     seen = before if event.lock is not None else before._replace(store=begun)
-    _relied_upon(program, before)
-    _relied_upon(program, start)
+    _relied_upon(reading, before)
+    _relied_upon(reading, start)
+    _kept_by_others(reading, start, before)
     why = "no robot can take the step"
     for pid in range(reading.robots):
         served = ModelAnswers(program, reading.reader)
@@ -251,16 +264,91 @@ def _event(reading: ModelStates) -> Counterexample:
         for claim in stated if obligation.kind == "loop" else ():
             if claim.span in outcome.violated and obligation.invariant == f"line {claim.span.line}":
                 return _seen(reading, begun, before, after, pid, Conjunct(claim.formula, {}), "")
+        if obligation.kind == "guarantee":
+            broken = _broken(reading, before, after)
+            if broken is not None:
+                return _seen(reading, begun, before, after, pid, broken, "")
         if obligation.kind == "event" and not _are_all_true(obligation.invariant, program, after):
             return _failed_step(reading, begun, before, after, pid, "")
         why = "the step preserves the invariant when the semantics runs it"
     raise Unshowable(why)
 
 
-def _relied_upon(program: decl.Program, state: State) -> None:
+def _relied_upon(reading: ModelStates, state: State) -> None:
+    program = reading.program
     for property_ in program.properties:
         if property_.kind == "invariant" and not is_true(property_, program, state):
             raise Unshowable(f"{property_.name} does not hold before the step")
+    for guarantee in reading.interface.guarantees:
+        if not guarantee.is_step and guarantee_failure(guarantee, program, state, state) is not None:
+            raise Unshowable(f"{guarantee.label} does not hold before the step")
+
+
+# Guarantees and steps of other applications
+
+
+def guarantee_failure(
+    guarantee: GuaranteeInScope, program: decl.Program, before: State, after: State
+) -> Conjunct | None:
+    """Return the conjunct that makes a guarantee false between two states; None if the guarantee holds.
+
+    A state guarantee reads `before` only."""
+    kind, name = guarantee.key
+    first, last = (s.store.slots[name] if kind == "slot" else s.store.cells[name] for s in (before, after))
+    view = library(program, len(before.robots), before.params, NOTHING, Budget(), no_port)
+    temps = {guarantee.before: first, **({guarantee.after: last} if guarantee.is_step else {})}
+    return _failing_conjunct(guarantee.formula, view._replace(temps=temps))
+
+
+def _broken(reading: ModelStates, before: State, after: State) -> Conjunct | None:
+    """Return the conjunct of the obligation's guarantee that a step makes false; None if the step keeps it."""
+    wanted = next(g for g in reading.interface.guarantees if g.label == reading.obligation.invariant)
+    return guarantee_failure(wanted, reading.program, before if wanted.is_step else after, after)
+
+
+def _kept_by_others(reading: ModelStates, before: State, after: State) -> None:
+    """Check that the foreign variables change between two states as their step guarantees allow."""
+    for guarantee in reading.interface.of(reading.interface.foreign):
+        if guarantee.is_step and guarantee_failure(guarantee, reading.program, before, after) is not None:
+            raise Unshowable(f"another application breaks {guarantee.label} in the counterexample")
+
+
+def _others(reading: ModelStates) -> Counterexample:
+    """Run a step of another application, which changes what is foreign."""
+    before, given, interface = reading.state("before"), reading.state("after"), reading.interface
+    foreign = {name for _, name in interface.foreign}
+    cells = {**before.store.cells, **{name: given.store.cells[name] for name in foreign}}
+    ports = [name for _, name in interface.ports]
+    robots = tuple(
+        old._replace(ports={**old.ports, **{name: new.ports[name] for name in ports}})
+        for old, new in zip(before.robots, given.robots, strict=True)
+    )
+    after = before._replace(robots=robots, store=before.store._replace(cells=cells))
+    _relied_upon(reading, before)
+    _kept_by_others(reading, before, after)
+    for guarantee in interface.of(interface.foreign):
+        if not guarantee.is_step and guarantee_failure(guarantee, reading.program, after, after) is not None:
+            raise Unshowable(f"another application breaks {guarantee.label} in the counterexample")
+    return _failed_step(reading, before.store, before, after, None, "")
+
+
+def _guarantee(reading: ModelStates) -> Counterexample:
+    """Check a guarantee of first values or after `init`, or check that a step guarantee is reflexive and transitive."""
+    obligation = reading.obligation
+    before, after = reading.state("before"), reading.state("after")
+    if obligation.event == "init":
+        before, after, discarded = _ran_init(reading)
+        if discarded is not None:
+            raise Unshowable(f"no mission begins: init has no result, {discarded.outcome}")
+    elif obligation.event == TRANSITIVE:
+        first = reading.state("round start")
+        if _broken(reading, first, before) is not None or _broken(reading, before, after) is not None:
+            raise Unshowable("the two steps of the counterexample break the guarantee themselves")
+        before = first
+    failed = _broken(reading, before, after)
+    if failed is None:
+        raise Unshowable("the guarantee holds when the semantics evaluates it")
+    return _seen(reading, before.store, before, after, None, failed, "")
 
 
 def _are_all_true(name: str, program: decl.Program, state: State) -> bool:
@@ -295,16 +383,21 @@ def _seen(
     obligation = reading.obligation
     seen = frozenset(cell.name for cell in obligation.cells)
     line = failed.formula.span.line if failed is not None else obligation.line
-    kind, event, file = obligation.kind, obligation.event, obligation.file
+    kind, event = obligation.kind, obligation.event
+    file = obligation.goal.file if failed is not None and obligation.goal is not None else obligation.file
     return Counterexample(
         obligation.invariant, kind, event, pid, file, line, begun, before, after, failed, discarded, seen
     )
 
 
-def failing_conjunct(property_: decl.Property, program: decl.Program, state: State) -> Conjunct | None:
-    """Return the conjunct that makes a property false in a state; None if the property holds."""
+def failing_conjunct(
+    property_: decl.Property | decl.Guarantee, program: decl.Program, state: State, temps: Mapping[str, Value] = {}
+) -> Conjunct | None:
+    """Return the conjunct that makes a property false in a state; None if the property holds.
+
+    `temps`: for a guarantee, the values of its variable before and after a write."""
     view = library(program, len(state.robots), state.params, NOTHING, Budget(), no_port)
-    view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots)
+    view = view._replace(slots=state.store.slots, cells=state.store.cells, robots=state.robots, temps=temps)
     return _failing_conjunct(property_.formula, view)
 
 

@@ -68,6 +68,8 @@ def _verdict(verdict: InvariantVerdict, attacks: Attacks) -> Iterator[str]:
     yield from counterexample(explanation.counterexample)
     guarded = "guard the operation, or state in an invariant that it always has a value"
     untold = guarded if verdict.invariant == WELL_DEFINED else "none of the tried conjuncts completes the proof"
+    if verdict.invariant.startswith("guarantee "):
+        untold = "change the event or the guarantee, or state in an invariant why the guarantee is kept"
     yield from wrapped(suggestion(verdict) or untold)
 
 
@@ -122,6 +124,8 @@ def suggestion(verdict: InvariantVerdict) -> str:
         )
     if explanation is None:
         return ""
+    if explanation.hint:
+        return explanation.hint
     added = " and ".join(f"`{conjunct}`" for conjunct in explanation.lacking)
     if explanation.unassumed:
         said = f"nothing is assumed about {' and '.join(explanation.unassumed)} after a step, so any value is possible"
@@ -163,7 +167,13 @@ def _json(verdict: InvariantVerdict, attacks: Attacks) -> dict[str, Any]:
         for o in verdict.outcomes
     ]
     rests = [
-        {"kind": "invariant", "text": name, "file": "", "line": 0, "checked": "PROVED here"}
+        {
+            "kind": "guarantee" if name.startswith("guarantee ") else "invariant",
+            "text": name.removeprefix("guarantee "),
+            "file": "",
+            "line": 0,
+            "checked": "PROVED here",
+        }
         for name in verdict.rests_on
     ]
     return {

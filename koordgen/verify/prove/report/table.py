@@ -42,6 +42,14 @@ def _step(found: Counterexample) -> str:
         return "a step of the environment, from a state in which all invariants hold"
     if found.kind == "base":
         return f"the state after init {place}".rstrip()
+    if found.kind == "interference":
+        return "a step of another application, from a state in which all invariants hold"
+    if found.kind == "guarantee" and found.pid is None:
+        return {
+            "(first values)": "the first values, before any init",
+            "(reflexive)": "a step that changes nothing",
+            "(transitive)": "two steps, one after the other, that both keep the guarantee",
+        }.get(found.event, f"the state after init {place}".rstrip())
     return f"{found.event} of robot {found.pid}, from a state in which all invariants hold"
 
 
@@ -61,7 +69,7 @@ def table(found: Counterexample) -> Iterator[str]:
         old, new = shown(before), shown(after)
         mark = f" {CHANGED}" if old != new or before != after else ""
         rows.append((owner, name, old, f"{new}{mark}" if mark else ""))
-    yield from _columns(rows)
+    yield from columns(rows)
     if any("~" in column for row in rows for column in row):
         yield from wrapped("(all numbers are exact; a number after ~ is shown rounded)")
 
@@ -94,7 +102,7 @@ def own(state: State, pid: int) -> dict[str, Any]:
     return {**robot.ports, **robot.locals, **slots}
 
 
-def _columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+def columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     """Yield columns side by side, within WIDTH. A cell that is too wide continues on further lines."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     room = WIDTH - 2 - 2 * (len(widths) - 1) - widths[0] - widths[1]
@@ -138,7 +146,7 @@ def run_state_lines(run_states: Sequence[RunState]) -> Iterator[str]:
         changes = list(_changes(old.state if old else None, run_state.state))
         for i, change in enumerate(changes or ["nothing changes"]):
             rows.append((str(run_state.round) if not i else "", step if not i else "", change, ""))
-    yield from _columns(rows)
+    yield from columns(rows)
 
 
 def _changes(old: State | None, new: State) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir import decl
@@ -32,6 +32,7 @@ from koordgen.verify.prove.report.model import Conjunct, Counterexample, plain_v
 from koordgen.verify.prove.report.reach import RunState, no_path
 
 UNMOVED = ("", "(environment)")  # steps in which no robot acts
+NOBODY = -1  # pid of a step in another application
 
 # Function with the arguments: pid, values of the robot's sensors, callable port, arguments of the call. It returns the
 # possible answers to the call.
@@ -90,6 +91,11 @@ def run_trace(
         pid, event = culprit or (LEFT_OUT, LEFT_OUT)
         t, place = float(run_states[-1].round), f"{program.path}:{line}"
         lines.append(Violation(t, "property", robots, detail, name, place, LEFT_OUT, program.name, pid, event))
+    return json_lines(lines)
+
+
+def json_lines(lines: Iterable[TraceRecord]) -> str:
+    """Return the text of a trace with these records."""
     return "".join(json.dumps(plain(line)) + "\n" for line in lines)
 
 
@@ -121,40 +127,55 @@ def _header(program: decl.Program, run_states: tuple[RunState, ...], about: RunO
 
 
 def _steps(program: decl.Program, run_states: tuple[RunState, ...], about: RunOrigin) -> Iterator[PoseRecord | Round]:
+    for index in range(len(run_states)):
+        yield from step_records(program, run_states, index, about)
+
+
+def step_records(
+    program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin, application: str = "",
+    places: Sequence[int] = (),
+) -> Iterator[PoseRecord | Round]:  # fmt: skip
+    """Yield the records of one step of a run: for each robot its position, if it is measured, and its round.
+
+    If the pid of the step is NOBODY, the step is one of another application.
+    `application`: the name of the application; by default that of the program. `places`: the pid in the records for
+    each pid in the application; by default the same."""
     sensors = {f"{m.name}.{p.name}" for m in program.modules for p in m.ports if p.direction == "sensor"}
-    for index, run_state in enumerate(run_states):
-        state = run_state.state
-        calls: Mapping[int, Any] = _calls(program, run_states, index, about)
-        for pid, robot in enumerate(state.robots):
-            acted = run_state.pid in (None, pid)
-            slots = {name: values[pid] for name, values in state.store.slots.items()}
-            place = next((robot.ports[name] for name in positions(program)), None)
-            if isinstance(place, Point):
-                position = (float(place.x), float(place.y), float(place.z))
-                yield PoseRecord(pid, position, 0.0, LEFT_OUT, float(run_state.round))
-            yield Round(
-                round=run_state.round,
-                event=run_state.event if acted and run_state.event not in UNMOVED else None,
-                skipped=None if acted else "another robot's step",
-                fault=LEFT_OUT,
-                late=LEFT_OUT,
-                sensors=_plain({n: v for n, v in robot.ports.items() if n in sensors}),
-                locals=_plain(robot.locals),
-                shared=_plain({**slots, **state.store.cells}),
-                actuators=_plain({n: v for n, v in robot.ports.items() if n not in sensors}),
-                copy=LEFT_OUT,
-                calls=calls.get(pid) or LEFT_OUT,
-                violated=LEFT_OUT,
-                stopped=robot.stopped,
-                restored=LEFT_OUT,
-                clock_bound=LEFT_OUT,
-                counters=LEFT_OUT,
-                time=LEFT_OUT,
-                t=float(run_state.round),
-                pid=pid,
-                application=program.name,
-                step=run_state.event or "the beginning",
-            )
+    run_state = run_states[index]
+    state = run_state.state
+    calls: Mapping[int, Any] = _calls(program, run_states, index, about)
+    idle = "another application's step" if run_state.pid == NOBODY else "another robot's step"
+    place_of = places or range(len(state.robots))
+    for pid, robot in enumerate(state.robots):
+        acted = run_state.pid in (None, pid)
+        slots = {name: values[pid] for name, values in state.store.slots.items()}
+        place = next((robot.ports[name] for name in positions(program)), None)
+        if isinstance(place, Point):
+            position = (float(place.x), float(place.y), float(place.z))
+            yield PoseRecord(place_of[pid], position, 0.0, LEFT_OUT, float(run_state.round))
+        yield Round(
+            round=run_state.round,
+            event=run_state.event if acted and run_state.event not in UNMOVED else None,
+            skipped=None if acted else idle,
+            fault=LEFT_OUT,
+            late=LEFT_OUT,
+            sensors=_plain({n: v for n, v in robot.ports.items() if n in sensors}),
+            locals=_plain(robot.locals),
+            shared=_plain({**slots, **state.store.cells}),
+            actuators=_plain({n: v for n, v in robot.ports.items() if n not in sensors}),
+            copy=LEFT_OUT,
+            calls=calls.get(pid) or LEFT_OUT,
+            violated=LEFT_OUT,
+            stopped=robot.stopped,
+            restored=LEFT_OUT,
+            clock_bound=LEFT_OUT,
+            counters=LEFT_OUT,
+            time=LEFT_OUT,
+            t=float(run_state.round),
+            pid=place_of[pid],
+            application=application or program.name,
+            step=run_state.event or "the beginning",
+        )
 
 
 Calls = list[tuple[str, list[Any], Any]]  # (callable port, arguments, answer) of each call, as JSON values
@@ -163,7 +184,11 @@ Calls = list[tuple[str, list[Any], Any]]  # (callable port, arguments, answer) o
 def _calls(program: decl.Program, run_states: tuple[RunState, ...], index: int, about: RunOrigin) -> dict[int, Calls]:
     """Return one step's calls of callable ports, with their answers, by the pid of the calling robot."""
     run_state = run_states[index]
-    if run_state.event in UNMOVED or not any(p.direction == "callable" for m in program.modules for p in m.ports):
+    if (
+        run_state.event in UNMOVED
+        or run_state.pid == NOBODY
+        or not any(p.direction == "callable" for m in program.modules for p in m.ports)
+    ):
         return {}
     acting = range(len(run_state.state.robots)) if run_state.pid is None else (run_state.pid,)
     return {pid: _asked(program, run_states, index, about, pid) for pid in acting}

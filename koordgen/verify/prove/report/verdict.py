@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from koordgen.lang.ir import decl
 from koordgen.lang.ir.expr import Expr
 from koordgen.lang.node import replace
-from koordgen.verify.prove.obligations.generate import OF_TWO, assumptions, obligation_groups, obligations
+from koordgen.verify.prove.obligations.generate import assumptions, obligation_groups, obligations
+from koordgen.verify.prove.obligations.interface import ALONE, Interface
+from koordgen.verify.prove.obligations.output import OF_TWO
 from koordgen.verify.prove.obligations.part_encoder import Detail
 from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 from koordgen.verify.prove.smt.obligation import HeadFormula, Obligation
@@ -35,11 +37,13 @@ class Question(NamedTuple):
 
     `program`: a checked program.
     `robots`: the number of robots; None for any number.
-    `params`: the values of fixed params. All other params are arbitrary."""
+    `params`: the values of fixed params. All other params are arbitrary.
+    `interface`: the interface to the other applications of the fleet."""
 
     program: decl.Program
     robots: int | None = None
     params: Mapping[str, Expr] | None = None
+    interface: Interface = ALONE
 
 
 class SolvedObligations(NamedTuple):
@@ -80,18 +84,20 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerd
     )
     names = _names(program, asked)
     groups = _groups(asked.outcomes)
-    failed: dict[str, tuple[tuple[ObligationResult, ...], decl.Program]] = {}
+    failed: dict[str, tuple[tuple[ObligationResult, ...], decl.Program, Interface]] = {}
     while failing := [name for name, group in groups.items() if not all(o.holds for o in group)]:
-        failed.update({name: (groups[name], program) for name in failing})
+        failed.update({name: (groups[name], program, question.interface) for name in failing})
         without = [p for p in program.properties if p.kind == "invariant" and p.name in failing]
-        if not without:
+        interface = question.interface.without(failing)
+        if not without and interface is question.interface:
             break
+        question = question._replace(interface=interface)
         program = replace(program, properties=tuple([p for p in program.properties if p not in without]))
         asked = _settled(question, program, solver, asked)
         groups = {name: group for name, group in _groups(asked.outcomes).items() if name not in failed}
-    failed.update({name: (group, program) for name, group in asked.lost.items()})
+    failed.update({name: (group, program, question.interface) for name, group in asked.lost.items()})
     outcomes = asked.outcomes
-    contradiction, doubt = _consistency(outcomes, solver)
+    contradiction, doubt = consistency_of(outcomes, solver)
     explained = {} if contradiction else _explained(question, failed, solver, program, asked.dropped)
     found, ledger = [], Ledger(question.program)
     for name in names:
@@ -99,14 +105,14 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerd
         explanation = explained.get(name)
         verdict, reason = _verdict(question.program, group, explanation, contradiction, doubt)
         assumed = ledger.of([o.obligation for o in group])
-        rests = _rests_on(name, group, program) if verdict == "PROVED" else ()
+        rests = _rests_on(name, group, program, question.interface) if verdict == "PROVED" else ()
         found.append(InvariantVerdict(name, verdict, question.robots, group, reason, explanation, rests, assumed))
     return found
 
 
 def _explained(
     question: Question,
-    failed: Mapping[str, tuple[tuple[ObligationResult, ...], decl.Program]],
+    failed: Mapping[str, tuple[tuple[ObligationResult, ...], decl.Program, Interface]],
     solver: Solver | CrossCheck,
     proved: decl.Program,
     dropped: frozenset[HeadFormula],
@@ -119,7 +125,7 @@ def _explained(
     from koordgen.verify.prove.report.explain import Explainer
 
     explainer = Explainer(question.program, question.robots, question.params, solver, proved, dropped)
-    return {name: explainer.explain(name, group, relied) for name, (group, relied) in failed.items()}
+    return {name: explainer.explain(name, group, relied, scope) for name, (group, relied, scope) in failed.items()}
 
 
 def _settled(
@@ -158,12 +164,14 @@ def _asked(
     robots, params = question.robots, question.params
     found = [
         ObligationResult(*each)
-        for each in solver.ask_all(obligation_groups(program, robots, params, "little", dropped))
+        for each in solver.ask_all(
+            obligation_groups(program, robots, params, "little", dropped, None, question.interface)
+        )
     ]
     for detail in more:
         if all(outcome.holds or outcome.obligation.too_large for outcome in found):
             break  # more facts would only enlarge formulas that are too large already
-        others = {o.name: o for o in obligations(program, robots, params, detail, dropped)}
+        others = {o.name: o for o in obligations(program, robots, params, detail, dropped, None, question.interface)}
         found = [outcome if outcome.holds else _again(outcome, others, solver) for outcome in found]
     return found
 
@@ -182,7 +190,7 @@ def _as_for_any(question: Question, program: decl.Program, solver: Solver | Cros
     # invariants. For the given number, the loop may be unrolled, and then its invariants have no obligations.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):
         return None
-    numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params)])
+    numbered = solver.ask_all([[o] for o in assumptions(program, question.robots, question.params, question.interface)])
     others = [o for o in general.outcomes if o.obligation.kind != "consistency"]
     return general._replace(outcomes=[*(ObligationResult(*each) for each in numbered), *others])
 
@@ -215,7 +223,7 @@ def _names(program: decl.Program, asked: SolvedObligations) -> list[str]:
     return list(found)
 
 
-def _consistency(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
+def consistency_of(outcomes: Sequence[ObligationResult], solver: Solver | CrossCheck) -> tuple[str, str]:
     """Return a contradiction among the assumptions, and a reason why consistency is undecided.
 
     Both values are texts. Both texts are empty if the assumptions are consistent."""
@@ -268,8 +276,17 @@ def _verdict(
     return ("UNKNOWN", doubt) if doubt or not group else ("PROVED", "")
 
 
-def _rests_on(name: str, group: tuple[ObligationResult, ...], program: decl.Program) -> tuple[str, ...]:
-    """Return the names of the other invariants that an invariant's obligations assume."""
-    lines = set().union(*[[fact.line for fact in outcome.obligation.facts] for outcome in group])
+def _rests_on(
+    name: str, group: tuple[ObligationResult, ...], program: decl.Program, interface: Interface
+) -> tuple[str, ...]:
+    """Return the names of the other invariants, and of the guarantees, that an invariant's obligations assume."""
+    facts = [fact for outcome in group for fact in outcome.obligation.facts]
+    lines = {fact.line for fact in facts if fact.file == program.path}
     others = [p for p in program.properties if p.kind == "invariant" and p.name != name]
-    return tuple([p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))])
+    rests = [p.name for p in others if lines.intersection(range(p.span.line, p.span.end_line + 1))]
+    if interface.guarantees:
+        labels = {fact.label for fact in facts}
+        for guarantee in [g for g in interface.guarantees if g.label != name]:
+            if any(label.startswith(f"{guarantee.label} ") or label == guarantee.label for label in labels):
+                rests.append(guarantee.label)
+    return tuple(rests)

@@ -11,7 +11,9 @@ from koordgen.lang.ir.types import Type
 from koordgen.lang.node import Node
 from koordgen.verify.prove.smt.term import Term
 
-Kind = Literal["base", "event", "environment", "loop", "well-defined", "consistency"]
+Kind = Literal["base", "event", "environment", "loop", "well-defined", "consistency", "interference", "guarantee"]
+# Kinds of the obligations that an application has only because of its exports and imports.
+OF_INTERFACE: frozenset[Kind] = frozenset(("interference", "guarantee"))
 StateName = Literal["round start", "before", "after"]
 
 
@@ -63,8 +65,9 @@ class Obligation(Node):
     If `expected` is "unsat", the claim is that the facts imply the goal: the facts and the goal's negation are
     unsatisfiable. A consistency obligation has no goal. Its claim is that its facts are satisfiable.
 
-    `invariant`: the invariant's name, or "(well-defined)".
-    `event`: the event's name, "init", "(environment)" or "".
+    `invariant`: the invariant's name, "(well-defined)" or, for a guarantee, "guarantee mapping.Kept".
+    `event`: the event's name, "init", "(environment)" or "". With several applications also "(first values)",
+        "(other applications)", "(reflexive)" and "(transitive)".
     `conjuncts`: the goal as conjuncts, so that a counterexample can show the conjunct that fails.
     `robots`: the number of robots; None for any number.
     `notes`: each approximation in the encoding, and each assumption that is not in the program.

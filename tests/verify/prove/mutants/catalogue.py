@@ -17,7 +17,7 @@ from koordgen.verify.prove.encode import (
     state,
     stmt,
 )
-from koordgen.verify.prove.obligations import generate, goal, interference, loops, mission_start, priority
+from koordgen.verify.prove.obligations import generate, goal, interference, loops, mission_start, output, priority
 from koordgen.verify.prove.obligations.part_encoder import PartEncoder, ProofProblem
 from koordgen.verify.prove.report import verdict
 from koordgen.verify.prove.smt import term as t
@@ -88,7 +88,7 @@ MUTANTS: dict[str, Mutant] = {
         "V2", UNSOUND, generate.of_event, "another robot's `reached`",
         "problem.sensors - problem.cleared", "problem.sensors"),
     "a command does not clear `reached`": Mutant(
-        "V2", UNSOUND, mission_start.with_cleared_sensors, "a command",
+        "V2", UNSOUND, mission_start.cleared_sensors, "a command",
         "if (any_wrote := t.any_of(wrote)) is not t.FALSE:", "if False:"),
     "an invariant that failed is relied upon": Mutant(
         "V2", UNSOUND, verdict.prove, "an invariant that rests on a false one",
@@ -96,6 +96,10 @@ MUTANTS: dict[str, Mutant] = {
     "shared variables at the round's start are those now": Mutant(
         "V2", UNSOUND, state.RoundStart.of, "exclusion with stale copies",
         "return self.other.of(key, robot)", "return self.now.of(key, robot)"),
+    "a shared variable that a path does not write is as it was at the round's start": Mutant(
+        "V2", UNSOUND, stmt.SymbolicFrame.changes,
+        "a path that does not write a shared variable undid another robot's write",
+        "self.seen is not self.now", "False"),
     "invariants are not known before an event": Mutant(
         "V2", WEAKER, generate.of_event, "priority",
         "part_encoder.holds(problem.invariants, now)", "pass"),
@@ -107,7 +111,7 @@ MUTANTS: dict[str, Mutant] = {
         "V3", UNSOUND, state.HavockedState.of, "no bound on targets",
         "self.after if key in self.moved else self.before", "self.before"),
     "an invariant is known after the environment's step of itself": Mutant(
-        "V3", UNSOUND, generate._Output.before, "no bound on targets",
+        "V3", UNSOUND, output.PartOutput.before, "no bound on targets",
         "names[names.index(wanted.invariant) :]", "names[names.index(wanted.invariant) + 1 :]"),
     "no invariant is asked of the environment's step": Mutant(
         "V3", UNSOUND, generate.environment, "no bound on targets",
@@ -120,7 +124,7 @@ MUTANTS: dict[str, Mutant] = {
         "if parts:", "if not parts:"),
     # V4: demands
     "of the operations of an event only the first needs a value": Mutant(
-        "V4", UNSOUND, generate._Output.all, "two divisions",
+        "V4", UNSOUND, output.PartOutput.all, "two divisions",
         "Goal(WELL_DEFINED, parts)", "Goal(WELL_DEFINED, parts[:1])"),
     "no operation needs a value": Mutant(
         "V4", WEAKER, context.ProofContext.demand, "an init that ended",
@@ -135,7 +139,7 @@ MUTANTS: dict[str, Mutant] = {
         "V4", UNSOUND, generate.of_init, "an init that fails",
         "out.all(goals, run.demands, ())", "out.all(goals, (), ())"),
     "that an event has its values is known where it is to be shown": Mutant(
-        "V4", UNSOUND, generate._Output.all, "a contract behind a division",
+        "V4", UNSOUND, output.PartOutput.all, "a contract behind a division",
         '"well-defined", ()))', '"well-defined", ended))'),
     "an index may be one beyond the last": Mutant(
         "V4", UNSOUND, context.ProofContext.within, "init of others",
@@ -297,7 +301,7 @@ MUTANTS: dict[str, Mutant] = {
         "V17", UNSOUND, generate.at_heads, "an invariant that is false at entry",
         '[("entry", head.entry)]', "[]"),
     "where a loop begins, facts of its turns are used": Mutant(
-        "V17", UNSOUND, generate._Output.before, "an invariant that is false at entry",
+        "V17", UNSOUND, output.PartOutput.before, "an invariant that is false at entry",
         "if f.position <= wanted.position and", "if"),
     # V18: turn of a loop
     "turns need not keep anything": Mutant(

@@ -28,6 +28,7 @@ from koordgen.lang.semantics.state import State, World
 from koordgen.lang.semantics.step import Step, applied, enabled, execute, has_priority, initial, run_init, sense
 from koordgen.runtime.values.points import Point
 from koordgen.verify.attack.attack import attack
+from koordgen.verify.explore.breadth_first import ExplorationBounds
 from koordgen.verify.explore.environment import (
     STRAIGHT,
     Environment,
@@ -37,7 +38,7 @@ from koordgen.verify.explore.environment import (
     possible_answers,
 )
 from koordgen.verify.explore.machine import DiscardedEvent, Machine, PrivateState
-from koordgen.verify.explore.search import ExplorationBounds, Search
+from koordgen.verify.explore.search import Search
 from koordgen.verify.prove.report import explain, reach
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, Question, prove
 from koordgen.verify.prove.smt.solve import CrossCheck, Solver
