@@ -95,25 +95,42 @@ def _left(known: GridMap, part: int, parts: int, refused: list[Point]) -> frozen
 
 @lru_cache(maxsize=64)  # several calls use the same map in each round
 def _edge(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
-    """Return the cells of a strip with room for a robot that are beside an unknown cell."""
+    """Return the cells of a strip with room for a robot that are beside an unknown cell.
+
+    At the strip's edge these are also cells from which free cells lead across the gap to an unknown one."""
     codes = _codes(known)
-    room = _room(known, part, parts)
-    return frozenset((x, y) for x, y in room if any(codes.get((x + i, y + j)) == 0 for i, j in NEAR))
+    room, columns = _room(known, part, parts), _columns(known, part, parts)
+    found = {(x, y) for x, y in room if any(codes.get((x + i, y + j)) == 0 for i, j in NEAR)}
+    sides = [(columns[0], -1)] * (part > 0) + [(columns[-1], 1)] * (part < parts - 1) if columns else []
+    for x, step in sides:
+        for y in range(known.y, known.y + known.height):
+            across = [codes.get((x + step * k, y)) for k in range(1, _gap(known) + 1)]
+            if (x, y) in room and 0 in across and OCCUPIED not in across[: across.index(0)]:
+                found.add((x, y))
+    return frozenset(found)
+
+
+def _gap(known: GridMap) -> int:
+    """Return the number of cells from a strip's edge to the next strip."""
+    return max(1, math.ceil(GAP / known.resolution))
+
+
+def _columns(known: GridMap, part: int, parts: int) -> range:
+    """Return the columns of a strip in which its robot may drive."""
+    west = known.x + known.width * part // parts + (_gap(known) if part > 0 else 0)
+    return range(west, known.x + known.width * (part + 1) // parts - (_gap(known) if part < parts - 1 else 0))
 
 
 @lru_cache(maxsize=64)
 def _room(known: GridMap, part: int, parts: int) -> frozenset[Cell]:
     """Return the free cells of a strip with no occupied cell within the distance that a car needs."""
-    gap = max(1, math.ceil(GAP / known.resolution))
-    west = known.x + known.width * part // parts + (gap if part > 0 else 0)
-    east = known.x + known.width * (part + 1) // parts - (gap if part < parts - 1 else 0)
-    codes = _codes(known)
+    codes, columns = _codes(known), _columns(known, part, parts)
     reach = range(-_need(known.resolution), _need(known.resolution) + 1)
     around = [(i, j) for i in reach for j in reach]
     return frozenset(
         (x, y)
         for (x, y), code in codes.items()
-        if west <= x < east and code == FREE and not any(codes.get((x + i, y + j)) == OCCUPIED for i, j in around)
+        if x in columns and code == FREE and not any(codes.get((x + i, y + j)) == OCCUPIED for i, j in around)
     )
 
 

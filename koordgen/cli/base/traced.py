@@ -61,4 +61,7 @@ def _place(options: Namespace, trace: Path) -> tuple[Path, dict[str, Any]]:
                 return programs[0], dict(json.loads(params.read_bytes())) if params.is_file() else {}
             except ValueError as error:
                 raise Failure(WRONG, f"{params}: {error}") from None
+        if any((folder / SOURCE).glob("*/*.koord")):
+            help = "the run's verdicts are in its summary.txt; `koordgen show` and `koordgen export` read the trace"
+            raise Failure(USAGE, f"{trace} has several applications, which this command cannot run again yet", help)
     raise Failure(USAGE, f"there is no folder {SOURCE}/ beside {trace}", "name the program with --program")

@@ -133,6 +133,14 @@ def test_the_trace_has_each_record_with_its_application_and_pages_the_names_of_t
     assert "cars.Few" in report and "quads.Look" in report
 
 
+@pytest.mark.parametrize("command", ["replay", "audit"])
+def test_commands_that_run_one_program_again_refuse_the_trace(
+    command: str, run: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, str(run[0])]) == 2
+    assert "has several applications" in capsys.readouterr().err
+
+
 def test_a_run_of_several_applications_is_deterministic(tmp_path: Path) -> None:
     file = fleet(tmp_path)
     traces = []
