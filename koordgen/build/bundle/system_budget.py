@@ -84,9 +84,9 @@ def check_system_link(
     robot = max(range(system.robots), key=lambda r: found[r].writes)
     largest = max(sizes[robot], key=_bytes)
     message = (
-        f"a round of all applications may send {needed} bytes; the writes of {names[robot]} take up to "
-        f"{found[robot].writes} bytes of them for each receiver; a round of {delta:g} s at {link.rate:g} bit/s carries "
-        f"{int(link.rate * delta / 8)} bytes"
+        f"all applications together may send {needed} bytes in a round, but a round of {delta:g} s at {link.rate:g} "
+        f"bit/s carries {int(link.rate * delta / 8)} bytes; the writes of {names[robot]} alone take up to "
+        f"{found[robot].writes} bytes for each receiver"
     )
     help = f"use a longer delta or a faster link, or {_HELP}"
     return [(largest.application, Diagnostic("B008", "error", message, largest.variable.span, help=help))]
@@ -175,7 +175,8 @@ def _check_store(system: System) -> list[Found]:
     largest = max(store_sizes(system), key=_bytes)
     message = (
         f"the variables of all applications together take up to {total} bytes; with {system.robots} robots, a robot "
-        f"that rejoins can receive at most {room}; {largest.variable.name} alone takes up to {largest.bytes} bytes"
+        f"that rejoins can receive at most {room} bytes; {largest.variable.name} alone takes up to {largest.bytes} "
+        f"bytes"
     )
     return [(largest.application, Diagnostic("B004", "error", message, largest.variable.span, help=_HELP))]
 

@@ -136,7 +136,7 @@ def _must_be_ours(folder: Path) -> bytes | None:
     Raises Foreign if the folder has a file that koordgen did not write, or that was changed.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        message = f"{folder}: a bundle of this name is to be written, and koordgen did not write this file or link"
+        message = f"{folder}: the build writes a bundle of this name, but this file or link is not from koordgen"
         raise Foreign(message, "move it away, or choose another folder with -o")
     if not folder.is_dir():
         return None

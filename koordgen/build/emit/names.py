@@ -85,7 +85,7 @@ class Names:
         return self._mint(f"turns_{name}")
 
     def bound(self, record: str, text: str) -> str:
-        """Return a new name for the size bound of a record. `types.bound` uses the name in place of `text`."""
+        """Return a new name for the size bound of a record. Generated code writes this name for the bound `text`."""
         self.bounds[text] = self._mint(f"BOUND_{snake(record).upper()}")
         return self.bounds[text]
 

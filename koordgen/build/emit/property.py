@@ -204,10 +204,10 @@ def _display(found: list[str]) -> str:
 
 
 def _add_fleet(page: Page, program: ir.Program, names: Names) -> None:
-    """Add the class Fleet, from which properties read."""
+    """Add the class Fleet, from which properties read the state of all robots."""
     page.gap()
     page.add(f"class Fleet({names.use('Known')}):")
-    page.add(f'"""State of all robots at one moment, for the properties of {program.name}."""', STEP)
+    page.add(f'"""State of all robots at one time, for the properties of {program.name}."""', STEP)
     _add_init(page, names)
     for m, p in _ports(program, "sensor", "actuator"):
         _add_part(page, names.ports[m.name, p.name], "Each", p.type, f"{m.name}.{p.name}", names)
@@ -234,7 +234,7 @@ def _ports(program: ir.Program, *directions: str) -> list[tuple[ir.Module, ir.Po
 
 
 def _add_step(page: Page, program: ir.Program, names: Names) -> None:
-    """Add the classes Ports and Step, from which assumptions read."""
+    """Add the classes Ports and Step, from which assumptions read the ports of a robot."""
     page.gap()
     page.add("class Ports:")
     page.add('"""One robot\'s ports."""', STEP)
@@ -246,8 +246,8 @@ def _add_step(page: Page, program: ir.Program, names: Names) -> None:
         page.add(joined(f"self.{names.ports[m.name, p.name]}: ", held, f" = {value}"), STEP * 2)
     page.gap()
     page.add("class Step(Known):")
-    page.add('"""Ports of one robot for assumptions: right after the program\'s step,', STEP)
-    page.add('and at a later moment of the same round."""', STEP)
+    page.add('"""Ports of one robot for assumptions: `before` has the values right after the program\'s step,', STEP)
+    page.add('`after` has the values at a later time of the same round."""', STEP)
     _add_init(page, names)
     page.add("self.before = Ports(self)", STEP * 2)
     page.add('self.after = Ports(self, "\'")', STEP * 2)

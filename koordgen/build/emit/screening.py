@@ -22,7 +22,7 @@ _OPPOSITE = {">": "<=", ">=": "<", "<": ">=", "<=": ">", "==": "!=", "!=": "=="}
 
 
 class _Unsupported(Exception):
-    """Raised if no screening exists for a formula."""
+    """Raised if a formula has no screening, so that each observation needs the exact formula."""
 
 
 def text(formula: ir.Expr, names: Names) -> str:

@@ -32,8 +32,8 @@ CELLS_AN_ELEMENT = 100
 MOST_BITS = 4096
 SMALL_BITS = 64
 
-_ROBOTS = 16  # most bits of a pid
-_PLACES = 32  # most bits of a length or an index
+_ROBOTS = 16  # largest number of bits of a pid
+_PLACES = 32  # largest number of bits of a length or an index
 _CHECKED = {"+": "plus", "-": "minus", "*": "product"}
 
 

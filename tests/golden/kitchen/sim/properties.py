@@ -27,7 +27,7 @@ from program import Cup, PARAM_HOME, PARAM_MARGIN, PROGRAM, Ticket, Tray, fun_he
 
 
 class Fleet(Known):
-    """State of all robots at one moment, for the properties of kitchen."""
+    """State of all robots at one time, for the properties of kitchen."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         super().__init__(n_sys, trail)
@@ -71,8 +71,8 @@ class Ports:
 
 
 class Step(Known):
-    """Ports of one robot for assumptions: right after the program's step,
-    and at a later moment of the same round."""
+    """Ports of one robot for assumptions: `before` has the values right after the program's step,
+    `after` has the values at a later time of the same round."""
 
     def __init__(self, n_sys: int, trail: Trail | None = None) -> None:
         super().__init__(n_sys, trail)
