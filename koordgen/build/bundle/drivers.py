@@ -67,7 +67,7 @@ def _unfit(driver: DriverClass, file: Path, program: Program) -> str:
     if not file.is_file():
         return f"there is no file {file}, which should have the class {driver.name}"
     if not file.resolve().is_relative_to(_root(driver, file).resolve()):
-        return f"{file} is a link to a file outside of its folder; put the file itself beside the fleet file or the program"
+        return f"{file} links to a file outside of its folder; put the file itself beside the fleet file or the program"
     return ""
 
 
