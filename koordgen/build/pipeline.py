@@ -33,7 +33,7 @@ class Rejected(Exception):
     """Raised for errors in the user's files. `found`: each diagnostic with the source that its span points into."""
 
     def __init__(self, found: Collection[tuple[Source, Diagnostic]]) -> None:
-        super().__init__("the user's files are wrong")
+        super().__init__("the user's files have errors")
         self.found = tuple(found)
 
 

@@ -33,7 +33,10 @@ from koordgen.lang.semantics.composition import System
 if TYPE_CHECKING:
     from koordgen.fleet.medium import Medium
 
-_PARTS, _PART = 3, 12  # bytes of an entry's parts, and of each part without its writes; equal to those of layout.py
+_PARTS, _PART = (
+    3,
+    12,
+)  # bytes that an entry with several parts adds once, and for each part; equal to those of runtime/net/layout.py
 _HELP = "share fewer or smaller variables, declare smaller capacities with `max`, or give a robot fewer applications"
 
 # A diagnostic, and the number of the application into whose program its span points.

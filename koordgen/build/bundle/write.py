@@ -176,7 +176,10 @@ def _contents(folder: Path, known: Mapping[str, str]) -> Iterator[tuple[str, Pat
 
 
 def _known(folder: Path) -> dict[str, str]:
-    """Return path -> digest of the files that koordgen wrote; empty if no SHA256SUMS begins with MARK."""
+    """Return the digest of each file that koordgen wrote, by path.
+
+    The result is empty if SHA256SUMS is missing or does not begin with MARK.
+    """
     try:
         mark, *listed = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):

@@ -32,7 +32,8 @@ _CONDITIONAL, _OR, _AND, _NOT, _COMPARE, _SUM, _PRODUCT, _SIGN, _ATOM = range(9)
 _STRENGTH = {"or": _OR, "and": _AND, "+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "//": _PRODUCT, "%": _PRODUCT}
 # Builtins with another name in Python or in the runtime's library. All others are functions of the same name.
 _CALLED = {"GridMap": "area", "index": "index_of", "get": "map_get"}
-# Builtins that compare their arguments, or parts of them. `clear` and `path_distance` check for NaN themselves.
+# Builtins that compare their arguments, so generated code checks the arguments for NaN. Not listed: `clear` and
+# `path_distance`, which check for NaN themselves.
 _COMPARING = ("min", "max", "sorted", "index", "removed", "Rect", "Ball")
 # Builtins that iterate over their arguments and compare nothing.
 _SEARCHING = ("sum", "union", "intersection", "difference")
@@ -100,7 +101,7 @@ def _text(node: ir.Expr, names: Names) -> tuple[str, int]:
             if strength == own:
                 return longer(shown, last), own
             return chain(shown if strength > own else brackets("(", [shown], ")"), last), own
-        case ir.Compare(op, left, right) if left.type == STRING:  # strings cost no turn, however long
+        case ir.Compare(op, left, right) if left.type == STRING:  # comparing strings costs no turn
             return _infix(_within(left, names, _SUM), op, _within(right, names, _SUM)), _COMPARE
         case ir.Compare(op, left, right):
             return _infix(_compared(left, names), op, _compared(right, names)), _COMPARE

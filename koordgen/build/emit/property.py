@@ -170,7 +170,7 @@ def _screening(page: Page, function: str, enough: str, names: Names) -> list[str
         return []
     page.gap()
     page.add(f"def screening_{function}(b: {names.use('Any')}) -> Any:")
-    page.add('"""Screening of many observations at once: where this is true, the formula holds."""', STEP)
+    page.add('"""Screening of many observations at once: the formula holds wherever the result is true."""', STEP)
     page.add(joined("return ", enough), STEP)
     return [f"screening=screening_{function}"]
 

@@ -51,12 +51,12 @@ def checked(node: ir.Binary) -> str:
 
 
 def is_small(node: ir.Expr) -> bool:
-    """Return whether an int always fits into a variable, for all values of the variables that it reads."""
+    """Return whether the value of an int expression always fits into a variable, whatever the expression reads."""
     return _bits(node) < SMALL_BITS
 
 
 def _bits(node: ir.Expr) -> int:
-    """Return an upper bound of the number of bits of an int."""
+    """Return an upper bound of the number of bits of an int expression's value."""
     match node:
         case ir.Const(int() as value):
             return value.bit_length()

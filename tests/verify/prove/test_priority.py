@@ -190,7 +190,7 @@ def agree(tmp_path: Path, seeds: range) -> tuple[int, int, int]:
 
 
 def test_what_is_proved_with_priorities_holds_of_every_state_that_is_reached(tmp_path: Path) -> None:
-    with_block, without, no = agree(tmp_path, range(6))
+    with_block, without, no = agree(tmp_path, range(4))
     assert with_block > without > 0 and no > 0
 
 

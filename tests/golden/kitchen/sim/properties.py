@@ -155,7 +155,7 @@ def assume_motion(s: Step) -> bool:
 
 
 def screening_assume_motion(b: Any) -> Any:
-    """Screening of many observations at once: where this is true, the formula holds."""
+    """Screening of many observations at once: the formula holds wherever the result is true."""
     return b.either(
         b.in_rect(
             b.each("Motion.position'", 0), b.each("Motion.position", 0), b.each("Motion.target", 0)
