@@ -143,13 +143,21 @@ function variables() {
     rows.push(cellsOf(row, [name, of, value, found ? `${number(found.t)} s, round ${found.round}, ${by}` : "not yet"], ["p", "p", "v", "p"]));
   };
   for (const [name, series] of robot ? robot.locals : []) add(name, "local", model.value(series, state.now), "");
-  for (const variable of model.shared)
-    for (const key of variable.kind === "allwrite" ? [-1] : model.robots.map((each) => each.pid)) {
+  for (const variable of model.shared) {
+    const members = membersOf(variable.name);
+    for (const key of variable.kind === "allwrite" ? [-1] : members) {
       const series = variable.series.get(key), found = robot ? model.believed(robot, series, state.now) : model.value(series, state.now);
-      add(key < 0 ? variable.name : `${variable.name}[${key}]`, key < 0 ? "all" : model.robots[key].name, found, variable.type);
+      add(key < 0 ? variable.name : `${variable.name}[${members.indexOf(key)}]`, key < 0 ? "all" : model.robots[key].name, found, variable.type);
     }
+  }
   $("shared").replaceChildren(...rows);
   copies();
+}
+
+// The robots that have a slot of an allread variable, by pid in its application: all robots, if the fleet has one program.
+function membersOf(variable) {
+  const of = (model.header.composition || []).find((each) => variable.startsWith(`${each.name}.`));
+  return of ? of.members : model.robots.map((each) => each.pid);
 }
 
 // Which robots go by an old copy of the shared variables.
