@@ -90,7 +90,7 @@ PLAYER = """
 <canvas id="space-names"></canvas></div>
 <figcaption><span id="space-help" hidden>Drag to turn; drag with the right button or two fingers to move; use the wheel
 or two fingers to zoom. Dots: each robot's last lidar scan.</span>
-Dotted: the path or target that a robot is commanded. Dashed frame: geofence. In a map, light cells are free and dark cells are occupied.
+Dotted: the commanded path or target. Dashed frame: geofence. In a map, light is free and dark is occupied.
 <span id="closest"></span> <span id="alarm"></span></figcaption>
 <div class="chips robots"></div></figure>
 <div>
