@@ -240,6 +240,7 @@ def test_what_comes_from_another_process_is_obeyed_only_when_it_is_sound(quad: R
     assert quad.body.state().position[2] > 0.1
 
 
+@pytest.mark.slow
 def test_a_mixed_fleet_of_both_fidelities_runs_in_lockstep_and_repeats(tmp_path: Path) -> None:
     bundle = built(tmp_path, "lineform")
     file = bundle / "scenario.json"

@@ -86,6 +86,7 @@ def test_a_frozen_robot_does_nothing_for_so_long_and_goes_on(lineform: Path, tmp
     assert "the watchdog braked" in (tmp_path / "out" / "robots" / "bert" / "log.txt").read_text()
 
 
+@pytest.mark.slow
 def test_faults_repeat(lineform: Path, tmp_path: Path) -> None:
     def run(name: str) -> str:
         plan = Plan((0.5, "cleo", CRASH), (1.0, "cleo", RESTART), (1, "bert", lambda a: a.freeze(0.7)))
