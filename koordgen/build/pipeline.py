@@ -18,7 +18,9 @@ from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax import decl as tree
 from koordgen.lang.syntax.parse import parse
 
-if TYPE_CHECKING:  # `check` needs none of these; functions import them late, since pathlib alone takes 10 % of its time
+# `check` does not need these modules. Functions that need them import them locally, because an import of pathlib alone
+# takes 10 % of the time of `check`.
+if TYPE_CHECKING:
     from pathlib import Path
 
     from koordgen.build.bundle.plan import Files

@@ -154,7 +154,7 @@ def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool)
 
 
 def traffic_of(writes: int, robots: int, link: Medium, to_all: bool) -> Traffic:
-    """Return the traffic of a round in which the log entry of each robot has so many bytes. `to_all`: see `traffic`."""
+    """Return the traffic of a round in which each robot's log entry has `writes` bytes. `to_all`: see `traffic`."""
     head = overhead(robots)
     room = DATAGRAM - head
     alone = on_the_medium(head, link.mtu)

@@ -142,7 +142,7 @@ def _harness(these: SystemIngredients, target: Target, programs: Files, agents: 
 def _store_facts(system: System) -> dict[str, Any]:
     """Return the variables of the store and the applications, in the form of a scenario and of a trace's header.
 
-    If two applications declare a record type of one name, `records` has the fields of the last one.
+    If two applications declare record types with the same name, `records` has the fields of the last one.
     """
     records: dict[str, Any] = {}
     for application in system.applications:

@@ -14,7 +14,9 @@ from koordgen.lang.ir.types import MapOf, PerRobot, Sequence
 from koordgen.lang.node import Node
 
 SHORTEST, LONGEST = 0.01, 0.06  # seconds: bounds of the default of `planner_budget`
-SHARE = 0.4  # part of a round for all calls of one event. Events end at 0.5 of the round and do other work, too.
+# Share of a round that the port calls of one event may take together. An event must end at half of the round, the
+# publish deadline, and needs time for its other work.
+SHARE = 0.4
 
 Calls = list[tuple[expr.PortCall, float]]  # pairs: a call, and how often an event makes the call at most
 _AS_LONG = ("sorted", "reversed", "keys", "values", "items")  # functions whose result is as long as their argument

@@ -52,7 +52,9 @@ class AgentInstance:
         self.stopped = self.is_faulty = self.watched = False
         self.observation: Observation | None = None
         self.restored: Life | None = None  # private state that a rejoin has restored; the next record reports it
-        self.counts: dict[str, int] = {}  # name -> count of what happened to events of this instance
+        self.counts: dict[
+            str, int
+        ] = {}  # outcome, such as "faults" -> number of this instance's events with this outcome
         self._is_positioned = True  # the program reads the robot's position, or is the only one
         # Names that the program knows; None: the program is the only one, so it knows all names of the robot.
         self._views: tuple[tuple[str, str], ...] | None = None
@@ -69,7 +71,7 @@ class AgentInstance:
         runner = Runner(program, instance.pid, n_sys, clock, limit, fleet.constants(instance), application.locks)
         made = cls(runner, instance.number, clock.now)
         if fleet.is_composed:
-            made.outputs.rival = "another transaction"  # perhaps of the same robot
+            made.outputs.rival = "another transaction"  # which may be one of the same robot
             made.application, made.share = application.name, fleet.share(instance)
             made._views = fleet.views(instance.application)
             made._sensors = tuple([p.name for p in program.ports if p.direction == "sensor"])

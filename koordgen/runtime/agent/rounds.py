@@ -155,7 +155,7 @@ class Rounds:
         self._driver.receive(messages)
 
     def poll(self, now: float, sense: Callable[[float], Sensed], unready: str | None) -> float:
-        """Do all work that is due at local time `now` (s). Return the local time by which the next call is due.
+        """Do all work that is due at local time `now`, in seconds. Return the local time at which the next call is due.
 
         Raises Lost.
 

@@ -158,7 +158,7 @@ class FleetProgram:
         }
 
     def members_of(self, stored: str) -> tuple[int, ...]:
-        """Return the robots that have a slot of an allread variable of the store; empty: there is none."""
+        """Return the robots that have a slot of an allread variable of the store; empty for other variables."""
         for index, application in enumerate(self.applications):
             if stored in [self.stored(index, v.name) for v in application.own if v.kind == "allread"]:
                 return application.members

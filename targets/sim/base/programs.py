@@ -10,7 +10,7 @@ from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.program.property import Properties, properties_of, without_properties
 
-# As an agent takes them: a program with its properties, or applications with the properties of each by its name.
+# A program with its properties, or all applications of a fleet with their properties by the application's name.
 LoadedPrograms = tuple[Program, Properties] | tuple[FleetProgram, dict[str, Properties]]
 
 

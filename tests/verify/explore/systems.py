@@ -52,7 +52,7 @@ def explored(
 
 
 def key(system: System, state: SystemState) -> Hashable:
-    """Return a key that tells states apart, except by the number of the round."""
+    """Return a key that is different for different states. It ignores the number of the round."""
     ports = [{name: value for name, value in ports.items() if name != COMMANDED} for ports in state.ports]
     return whole_key(state._replace(ports=tuple(ports)))
 
@@ -202,7 +202,7 @@ def brute_force(system: System, rounds: int, around: Environment = NOTHING, most
 
 
 def judge(system: System, states: Any, number: int, broken: dict[tuple[int, str], int]) -> None:
-    """Note the invariants and state guarantees that are false in some of the states."""
+    """Add to `broken` the invariants and state guarantees that are false in one of the states."""
     for state in states:
         for index, application in enumerate(system.applications):
             seen, program = view(system, state, index), application.program

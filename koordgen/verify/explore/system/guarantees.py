@@ -21,7 +21,7 @@ from koordgen.verify.explore.machine import Machine, Packed
 
 
 class _Guarantee(NamedTuple):
-    """`variable`: the name of the guaranteed variable. `holds`: function of its values before and after a write."""
+    """Guarantee of an exported variable. `holds`: function of the variable's values before and after a write."""
 
     guarantee: decl.Guarantee
     variable: str

@@ -52,19 +52,19 @@ class SystemMachine:
         widths = [2 * machine.n_sys + 1 for machine in self.machines]
         self._first = [sum(widths[:index]) for index in range(len(widths))]
         self.views = tuple([slice(at, at + width) for at, width in zip(self._first, widths, strict=True)])
-        # of each instance: its application and its pid; and the place of its private state in a packed state
+        # For each instance: application and pid, and the index of its private state in a packed state.
         self.units = tuple([(instance.application, instance.pid) for instance in self.instances])
         self.own_places = tuple([self._first[a] + pid for a, pid in self.units])
         applications = range(len(self.machines))
-        # of each application: other applications that know some of its allwrite variables, with the names of these
+        # For each application: other applications that know some of its allwrite variables, with the variables' names.
         self._same_cells = [
             [(b, names) for b in applications if a != b and (names := self._common_cells(a, b))] for a in applications
         ]
-        # of each application: applications that import some of its allread variables, with the names of these
+        # For each application: applications that import some of its allread variables, with the variables' names.
         self._slot_readers = [
             [(b, names) for b in applications if (names := self._imported_slots(a, b))] for a in applications
         ]
-        # of each instance: other instances on its robot that have a port in common with it
+        # For each instance: other instances on the robot with which it has a port in common.
         self._beside = [[j for j in range(len(self.instances)) if self._share_ports(i, j)] for i in self._numbers()]
         self._carried: dict[tuple[int, int, int], int] = {}
         self._columns: dict[tuple[int, int, Packed], int] = {}
@@ -221,7 +221,7 @@ class SystemMachine:
         return found
 
     def _port_writes(self, number: int, begun: int, then: int) -> tuple[dict[str, Value], frozenset[str]]:
-        """Return the ports that a step of an instance changed, and the sensors that are no longer unset."""
+        """Return the ports that a step of an instance changed, and the sensors that got a value."""
         machine = self.machines[self.units[number][0]]
         old, new = machine.owns.values[begun], machine.owns.values[then]
         before, after = ({**robot.sensors, **robot.actuators} for robot in (old, new))

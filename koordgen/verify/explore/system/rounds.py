@@ -1,4 +1,4 @@
-"""Results of one round of a system: the states after every order of instances that can matter.
+"""Rounds of a system: all states that one round can lead to, by any order of the instances.
 
 Partial-order reduction, as for one program: events of two instances conflict if both write the same allwrite variable,
 or if one is atomic and reads a shared variable that the other writes. Variables are compared by their names in the

@@ -5,7 +5,7 @@ B: first values and each `init` establish the state guarantees. E: each write ke
 reflexive and transitive. docs/reference/semantics.md ("Several applications") has the theorem and its proof.
 
 What may be assumed: state guarantees before a step and at the round's start, and step guarantees between the round's
-start and the state before the step. Never a guarantee of the step that is being shown.
+start and the state before the step. A guarantee of the step that is being shown is never assumed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ REFLEXIVE, TRANSITIVE = "(reflexive)", "(transitive)"
 
 
 def value_in(state: SymbolicState, key: Key) -> Val:
-    """Return the value of a shared variable: of an allread variable, all slots."""
+    """Return the value of a shared variable; for an allread variable, all slots."""
     return slots(state, key[1]) if key[0] == "slot" else state.of(key, t.integer(-1))
 
 
@@ -48,7 +48,7 @@ def scope_of(guarantee: GuaranteeInScope, before: SymbolicState, after: Symbolic
 
 
 def assume_imports(part_encoder: PartEncoder, state: SymbolicState) -> None:
-    """Assume the facts about the exporters' members. They never change, so any state of the part will do."""
+    """Assume the facts about the exporters' members. They never change, so they may be assumed in any state."""
     _assume_facts(part_encoder, part_encoder.problem.interface.facts, state)
 
 
@@ -183,7 +183,8 @@ def of_init_guarantees(problem: ProofProblem) -> list[Obligation]:
 def of_others(problem: ProofProblem) -> list[Obligation]:
     """Return the obligations that the invariants survive the steps of other applications (I).
 
-    Such a step changes what is foreign and nothing else. It keeps the guarantees of each variable that it writes."""
+    Such a step changes foreign variables and ports, and nothing else. It keeps the guarantees of each variable that it
+    writes."""
     part_encoder, interface = PartEncoder(problem), problem.interface
     now = ArbitraryState(part_encoder.context, problem.types)
     after = HavockedState(now, ArbitraryState(part_encoder.context, problem.types, "@after"), interface.moved)

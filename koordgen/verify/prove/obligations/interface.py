@@ -48,7 +48,7 @@ class GuaranteeInScope(NamedTuple):
 
 
 class ImportFact(NamedTuple):
-    """Formula that is true of every view of an importing program. `label` says why; `line` is that of the import."""
+    """Formula that is true of every view of an importing program. `label`: the reason. `line`: line of the import."""
 
     label: str
     formula: ir.Expr
@@ -88,7 +88,7 @@ class Interface(NamedTuple):
         return [guarantee for guarantee in self.guarantees if guarantee.key in keys]
 
     def without(self, names: Collection[str]) -> Interface:
-        """Return the interface without some guarantees, by the labels of these."""
+        """Return the interface without the guarantees that have these labels."""
         kept = tuple([guarantee for guarantee in self.guarantees if guarantee.label not in names])
         return self if len(kept) == len(self.guarantees) else self._replace(guarantees=kept)
 

@@ -1,7 +1,7 @@
 """Joint assumptions of a fleet: what several applications assume about the same sensors must hold together (A).
 
 This is the only question that is asked of the composition: two programs may each be consistent and contradict one
-another. It is asked only of applications that speak of the same sensor of a robot, or of the same spec function,
+another. It is asked only of applications that mention the same sensor of a robot, or of the same spec function,
 because formulas about different things never contradict one another. Params, functions and variables belong to one
 application, so their names get the application's name as a prefix here.
 """
@@ -24,7 +24,8 @@ from koordgen.verify.prove.obligations.part_encoder import ProofProblem
 from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 
-# Lines of an application's program are raised by a multiple of LINES, so that a fact's line tells its application.
+# Application number i gets i * LINES added to the lines of its program, so a fact's line shows from which application
+# the fact comes.
 LINES = 10_000_000
 
 
@@ -111,11 +112,11 @@ def _located(system: System, group: JointGroup, obligation: Obligation) -> Oblig
     return replace(obligation, facts=tuple(facts), file=" and ".join(dict.fromkeys(paths)))
 
 
-# Which applications speak of the same things
+# Groups of applications that mention the same things
 
 
 class JointGroup(NamedTuple):
-    """Assumptions and axioms of two or more applications that speak of the same things.
+    """Assumptions and axioms of two or more applications that mention the same things.
 
     `applications`: their indices, ascending. `formulas`: the formulas, each with its application."""
 
@@ -124,7 +125,7 @@ class JointGroup(NamedTuple):
 
 
 class _Cluster:
-    """Formulas that are connected by what they speak of."""
+    """Formulas that are connected by the things that they mention."""
 
     def __init__(self) -> None:
         self.applications: set[int] = set()
@@ -133,7 +134,7 @@ class _Cluster:
 
 
 def connected(system: System) -> list[JointGroup]:
-    """Return the groups of formulas of several applications that speak of the same things.
+    """Return the groups of formulas of several applications that mention the same things.
 
     A formula that shares nothing with those of another application is left out: whether it contradicts others of its
     own application is asked when that application is proved."""
@@ -159,7 +160,7 @@ def _is_variable(subject: tuple[Any, ...]) -> bool:
 
 
 def _subjects(system: System, index: int, formula: ir.Expr) -> Iterator[tuple[Any, ...]]:
-    """Yield what a formula of an application speaks of: ports of robots, spec functions, params and variables.
+    """Yield the things that a formula of an application mentions: ports, spec functions, params and variables.
 
     A shared variable belongs to the application that declares it, because that gives the first value."""
     application = system.applications[index]
@@ -236,10 +237,10 @@ def _agreeing(modules: tuple[decl.Module, ...]) -> tuple[decl.Module, ...]:
 
 
 class _Renamed:
-    """Renames what belongs to one application, and gives its pids the robots of the fleet.
+    """Renaming of everything that belongs to one application; its pids become robots of the fleet.
 
-    `raised`: what is added to each line.
-    `place`: the robot about which is asked, by its place in the fleet."""
+    `raised`: the number that is added to each line.
+    `place`: the robot of the question, by its place in the fleet."""
 
     def __init__(self, system: System, index: int, raised: int, place: int) -> None:
         self.system, self.index, self.raised, self.place = system, index, raised, place

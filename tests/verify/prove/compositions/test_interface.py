@@ -1,4 +1,4 @@
-"""What the interface adds to the proof of one application, and how verdicts, files and messages name both sides."""
+"""Obligations that an interface adds to the proof of an application, and messages that name both sides."""
 
 from __future__ import annotations
 
