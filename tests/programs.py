@@ -1,4 +1,4 @@
-"""Bundles for tests, built in memory: LineForm for fleets of one target."""
+"""Programs, fleet files and bundles for tests; the bundles are those of LineForm for fleets of one target."""
 
 from __future__ import annotations
 
@@ -19,6 +19,18 @@ from koordgen.runtime.config.settings import Settings
 ROOT = Path(__file__).parents[1]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"
 COMPOSED = ("survey",)  # examples whose programs import from one another, so that a fleet file names all of them
+
+# Beginning of a fleet file with a quad and a car; the entries of `applications` follow.
+QUAD_AND_CAR = """\
+delta: 0.1
+origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
+geofence: {lo: [-9, -9, 0], hi: [9, 9, 4]}
+insecure: true
+robots:
+  - {name: alice, target: quad, address: 127.0.0.1:47100, start: {position: [0, 0, 1]}}
+  - {name: bert, target: car, address: 127.0.0.1:47101, start: {position: [3, 0, 1]}}
+applications:
+"""
 
 
 def programs_alone() -> list[Path]:

@@ -9,6 +9,7 @@ import pytest
 from koordgen.build.pipeline import Rejected, check_system, read_fleet
 from koordgen.fleet import manifest
 from koordgen.lang.semantics.composition import Instance
+from tests.programs import QUAD_AND_CAR
 
 MAPPING = """\
 export:
@@ -48,16 +49,6 @@ Go:
   pre: len(found) > seen and Mapping.pid < 0
   eff: seen = len(found)
 """
-HEAD = """\
-delta: 0.1
-origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
-geofence: {lo: [-9, -9, 0], hi: [9, 9, 4]}
-insecure: true
-robots:
-  - {name: alice, target: quad, address: 127.0.0.1:47100, start: {position: [0, 0, 1]}}
-  - {name: bert, target: car, address: 127.0.0.1:47101, start: {position: [3, 0, 1]}}
-applications:
-"""
 ENTRIES = """\
   - {name: mapping, program: mapping.koord, robots: [bert], params: {limit: 7}}
   - {name: task, program: task.koord, import: {Mapping: mapping}}
@@ -67,7 +58,7 @@ ENTRIES = """\
 def fleet(folder: Path, entries: str = ENTRIES, task: str = TASK, mapping: str = MAPPING, more: str = "") -> str:
     (folder / "mapping.koord").write_text(mapping)
     (folder / "task.koord").write_text(task)
-    (folder / "fleet.yaml").write_text(HEAD + entries + more)
+    (folder / "fleet.yaml").write_text(QUAD_AND_CAR + entries + more)
     return str(folder / "fleet.yaml")
 
 
@@ -238,7 +229,7 @@ def test_errors_of_all_programs_come_at_once(tmp_path: Path) -> None:
 
 def test_a_fleet_file_without_applications(tmp_path: Path) -> None:
     assert "fleet.yaml:8: F004 applications must be a list" in errors(fleet(tmp_path, ""))[0]
-    (tmp_path / "fleet.yaml").write_text(HEAD.replace("applications:\n", ""))
+    (tmp_path / "fleet.yaml").write_text(QUAD_AND_CAR.replace("applications:\n", ""))
     assert "F003 the fleet file names no program" in errors(str(tmp_path / "fleet.yaml"))[0]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
+from tests.programs import QUAD_AND_CAR
 from tests.verify.explore.test_search import COUNT, LOST, MOTION
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -48,16 +49,6 @@ def test_a_violation_is_3_with_its_files(app: str, tmp_path: Path, capsys: pytes
     assert json.loads(trace.read_text().splitlines()[-1])["name"] == "Counted" and json.loads(itf.read_text())["states"]
 
 
-FLEET = """\
-delta: 0.1
-origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
-geofence: {lo: [-9, -9, 0], hi: [9, 9, 4]}
-insecure: true
-robots:
-  - {name: ann, target: quad, address: 127.0.0.1:47100, start: {position: [0, 0, 1]}}
-  - {name: bob, target: quad, address: 127.0.0.1:47101, start: {position: [3, 0, 1]}}
-applications:
-"""
 BUILDING = "export:\n  write List<int> done\n    guarantee Kept: len(done) <= len(done')\n"
 BUILDING += "param int most = 1\nallwrite: List<int> done max 9\n"
 BUILDING += "Put:\n  pre: len(done) < most\n  eff: atomic: done.append(pid)\n"
@@ -72,8 +63,8 @@ def fleet(tmp_path: Path) -> str:
     (tmp_path / "task.koord").write_text(TASK)
     path = tmp_path / "fleet.yaml"
     entries = "  - {name: building, program: building.koord, params: {most: 2}}\n"
-    entries += "  - {name: task, program: task.koord, robots: [bob], import: {Building: building}}\n"
-    path.write_text(FLEET + entries)
+    entries += "  - {name: task, program: task.koord, robots: [bert], import: {Building: building}}\n"
+    path.write_text(QUAD_AND_CAR + entries)
     return str(path)
 
 
@@ -90,7 +81,7 @@ def test_a_fleet_file_with_applications(fleet: str, tmp_path: Path, capsys: pyte
     assert main(["explore", fleet, "--no-deadlock", "--format", "json", "--itf", str(run), "--trace", str(trace)]) == 3
     told = json.loads(capsys.readouterr().out)["violation"]
     assert (told["application"], told["what"], told["rounds"], told["shortest"]) == ("building", "Kept", 3, 1)
-    assert told["order_of_agents"] and told["run"][-1]["application"] == "task" and told["run"][-1]["robot"] == "bob"
+    assert told["order_of_agents"] and told["run"][-1]["application"] == "task" and told["run"][-1]["robot"] == "bert"
     assert json.loads(run.read_text())["states"][-1]["application"] == "task"
     header, *records, end = map(json.loads, trace.read_text().splitlines())
     assert header["applications"] == ["building", "task"] and end["application"] == "building"
@@ -103,7 +94,7 @@ def test_a_fleet_file_with_one_application_is_its_program(
     fleet: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "app.koord").write_text(LOST)
-    Path(fleet).write_text(FLEET + "  - {name: only, program: app.koord}\n")
+    Path(fleet).write_text(QUAD_AND_CAR + "  - {name: only, program: app.koord}\n")
     assert main(["explore", fleet]) == 3
     told = capsys.readouterr().out
     assert main(["explore", str(tmp_path / "app.koord"), "--robots", "2"]) == 3

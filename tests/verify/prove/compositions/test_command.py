@@ -10,17 +10,10 @@ import pytest
 
 from koordgen.cli import main
 from koordgen.verify.attack.system_runs import SystemAttack, SystemContradiction
+from tests.programs import QUAD_AND_CAR
 from tests.verify.prove.compositions.systems import KNOWN
 
-HEAD = """\
-delta: 0.1
-origin: {latitude: 47.0, longitude: 8.0, altitude: 400.0}
-geofence: {lo: [-9, -9, 0], hi: [9, 9, 4]}
-insecure: true
-robots:
-  - {name: alice, target: quad, address: 127.0.0.1:47100, start: {position: [0, 0, 1]}}
-  - {name: bert, target: car, address: 127.0.0.1:47101, start: {position: [3, 0, 1]}}
-applications:
+ENTRIES = """\
   - {name: counter, program: counter.koord}
   - {name: user, program: user.koord, robots: [bert], import: {Counter: counter}}
 """
@@ -32,7 +25,7 @@ def fleet(folder: Path, name: str) -> str:
     known = KNOWN[name]
     (folder / "counter.koord").write_text(known.counter.lstrip())
     (folder / "user.koord").write_text(known.user.lstrip())
-    (folder / "fleet.yaml").write_text(HEAD)
+    (folder / "fleet.yaml").write_text(QUAD_AND_CAR + ENTRIES)
     return str(folder / "fleet.yaml")
 
 
