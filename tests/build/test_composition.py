@@ -241,3 +241,56 @@ def test_a_program_beside_a_fleet_file_with_applications(tmp_path: Path) -> None
         read_fleet(path, targets, program, "mapping.koord")
     ((_, error),) = rejected.value.found
     assert "names the programs of its applications" in error.message and path in error.help
+
+
+def test_the_number_of_an_exporters_members_is_no_param(tmp_path: Path) -> None:
+    entries = ENTRIES.replace("{Mapping: mapping}", "{Mapping: mapping}, params: {Mapping.N_SYS: 3}")
+    (error,) = errors(fleet(tmp_path, entries))
+    assert error.startswith("fleet.yaml:10: F005 Mapping.N_SYS is the number of robots that run an application")
+
+
+def test_records_within_tuples_must_be_equal(tmp_path: Path) -> None:
+    mapping = MAPPING.replace("List<Task> done", "List<(int, Task)> done")
+    task = TASK.replace("List<Task> done", "List<(int, Task)> done")
+    check_system(fleet(tmp_path, task=task, mapping=mapping))
+    (error,) = errors(fleet(tmp_path, task=task.replace("int kind", "bool kind"), mapping=mapping))
+    assert "in the field kind of the record Task, the exported type is int, the imported one bool" in error
+
+
+HVAC = """\
+using HVAC:
+  sensors: float temp
+  actuators: bool heat
+"""
+
+
+def test_each_module_with_a_driver_is_a_body_of_its_own(tmp_path: Path) -> None:
+    more = "modules: {HVAC: drivers:Hvac}\n"
+    check_system(fleet(tmp_path, task=TASK + HVAC, more=more))
+    found = errors(fleet(tmp_path, task=TASK + HVAC, mapping=MAPPING + HVAC, more=more))
+    assert [error.split(": ")[:2] for error in found] == [
+        ["task.koord:15", "B013 task and mapping both have actuators of bert"]
+    ]
+
+
+def test_applications_declare_a_sensor_of_one_robot_alike(tmp_path: Path) -> None:
+    other = "using HVAC:\n  sensors: int temp\n"
+    (error,) = errors(
+        fleet(tmp_path, task=TASK + other, mapping=MAPPING + HVAC, more="modules: {HVAC: drivers:Hvac}\n")
+    )
+    assert error.startswith(
+        "task.koord:16: B013 HVAC.temp is declared in another way in mapping.koord, for the same robot"
+    )
+
+
+def test_what_is_wrong_on_several_robots_is_reported_once(tmp_path: Path) -> None:
+    task = TASK.replace("position\n", "position\n  actuators: Point target\n")
+    everywhere = ENTRIES.replace("robots: [bert], ", "")
+    (error,) = errors(fleet(tmp_path, everywhere, task))
+    assert error.startswith("task.koord:9: B013")
+    (error,) = errors(
+        fleet(
+            tmp_path, everywhere.replace("limit: 7}", "limit: 7}, share: 0.6").replace("task, ", "task, share: 0.6, ")
+        )
+    )
+    assert "the shares on alice, those of mapping and task, add up to 1.2" in error
