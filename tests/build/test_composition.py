@@ -294,3 +294,18 @@ def test_what_is_wrong_on_several_robots_is_reported_once(tmp_path: Path) -> Non
         )
     )
     assert "the shares on alice, those of mapping and task, add up to 1.2" in error
+
+
+def test_all_modules_of_a_target_are_one_body(tmp_path: Path) -> None:
+    task = TASK.replace("using Motion:", "using MotionWithScan:").replace(
+        "position\n", "position\n  actuators: Point target\n"
+    )
+    found = errors(fleet(tmp_path, task=task))
+    assert any(
+        "B013 task and mapping both have actuators of bert: Motion at mapping.koord:10" in error for error in found
+    )
+
+
+def test_the_order_of_robots_in_the_fleet_file_gives_their_pids(tmp_path: Path) -> None:
+    entries = ENTRIES.replace("program: task.koord", "program: task.koord, robots: [bert, alice]")
+    assert check_system(fleet(tmp_path, entries)).system.applications[1].members == (0, 1)
