@@ -11,6 +11,7 @@ import pytest
 from koordgen.cli import main
 from targets.sim.trace.files import read
 from targets.sim.trace.store_names import StoreNames
+from tests.sim.view.browser import CHROMIUM, Browser
 
 CARS = """\
 using Motion:
@@ -131,6 +132,16 @@ def test_the_trace_has_each_record_with_its_application_and_pages_the_names_of_t
     assert all(StoreNames(read_header).of(r) is r for r in shown if not getattr(r, "application", ""))
     report = (run[0] / "report.html").read_text()
     assert "cars.Few" in report and "quads.Look" in report
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no browser: on Debian, apt install chromium")
+def test_the_report_shows_slots_of_members_only_with_their_pids(tmp_path: Path) -> None:
+    """Bert, robot 1, is the only member of `cars`: its pid there is 0."""
+    sim(fleet(tmp_path), tmp_path / "run")
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/run/report.html")
+        assert "cars.place[0]\tbert" in page.text("shared")
+        assert page.text("shared").count("cars.place") == 1
 
 
 @pytest.mark.parametrize("command", ["replay", "audit"])
