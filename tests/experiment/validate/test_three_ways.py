@@ -35,6 +35,7 @@ def validated(program: Path, fleet: Path, *words: str, status: int = 3) -> dict[
     return found
 
 
+@pytest.mark.slow
 def test_a_car_that_cannot_turn_on_the_spot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -66,6 +66,7 @@ def passes(tests: Sequence[str]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_compiled_modules_pass_the_same_tests() -> None:
     passes(TESTS)
