@@ -97,8 +97,8 @@ def check_file(path: str) -> Checked:
 def check_alone(program: Program) -> list[Diagnostic]:
     """Report each import and each guarantee of a program.
 
-    A program that runs alone has no exporter. No tool but the check and the proof of a fleet knows guarantees, so a
-    program with guarantees is refused instead of leaving them unproved without a word.
+    A program that runs alone has no exporter. The proof of a program alone does not know guarantees, so a program with
+    guarantees is refused instead of leaving them unproved without a word.
     """
     only = "cannot be built, proved or explored alone"
     fleet = "list it under `applications:` in a fleet file, and prove the fleet with `koordgen prove fleet.yaml`"
@@ -258,7 +258,7 @@ def read_fleet(
     read = _read_fleet(source, targets, params, known)
     if program is not None and read.applications:
         message = f"this fleet file names the programs of its applications, but {program_path} is given as well"
-        help = f"name the fleet file alone, without a program: {path}"
+        help = f"`koordgen check`, `prove`, `explore`, `build` and `sim` take {path} alone, other commands one program"
         span = read.applications[0].spans[""]
         raise Rejected([(source, Diagnostic("F005", "error", message, span, help=help))])
     return read, read.params

@@ -6,7 +6,9 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,6 +71,11 @@ BAD = {
 }  # fmt: skip
 
 
+def slowly(names: Collection[str], *slow: str) -> list[Any]:
+    """Return parameters, of which those in `slow` take seconds and are not tried every day."""
+    return [pytest.param(name, marks=pytest.mark.slow) if name in slow else name for name in names]
+
+
 def ran(folder: Path, text: str, command: str, *options: str) -> subprocess.CompletedProcess[str]:
     """Run a command on a program; it must end by itself."""
     path = folder / "app.koord"
@@ -84,7 +91,7 @@ def test_check_ends(name: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", slowly(BAD, "a loop in a guard", "a formula"))
 def test_explore_ends_by_the_limits_of_one_event(name: str, tmp_path: Path) -> None:
     text, reason = BAD[name]
     done = ran(tmp_path, text, "explore", "--robots", "1", "--no-deadlock")
@@ -119,14 +126,21 @@ def test_explore_ends_when_its_time_is_over_in_the_middle_of_what_takes_long(
     assert "the time limit of 1 s" in done.stdout
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", slowly(BAD, "calls of calls", "many statements", "squares"))
 def test_prove_ends(name: str, tmp_path: Path) -> None:
     done = ran(tmp_path, BAD[name][0], "prove", "--timeout", "1", "--format", "json")
     assert done.returncode in (0, 3, 4), done.stderr
     assert "Kept" in [verdict["name"] for verdict in json.loads(done.stdout)["invariants"]]
 
 
-@pytest.mark.parametrize("name", ["long range", "nested loops", "squares in a loop", "a loop of calls", "init"])
+@pytest.mark.parametrize(
+    "name",
+    slowly(
+        ["long range", "nested loops", "squares in a loop", "a loop of calls", "init"],
+        "nested loops",
+        "a loop of calls",
+    ),
+)
 def test_prove_ends_where_it_runs_what_is_false(name: str, tmp_path: Path) -> None:
     text = BAD[name][0].replace("k[i] >= 3", "k[i] == 3")
     done = ran(tmp_path, text, "prove", "--timeout", "1", "--robots", "2", "--format", "json")

@@ -14,6 +14,7 @@ def program(text: str) -> str:
     """Return the path of a program; refuse a YAML file."""
     if is_fleet(text):
         way = f"`koordgen build APP.koord --fleet {text}` checks a fleet file together with its program"
+        way += "; this command does not take the applications of a fleet file"
         raise argparse.ArgumentTypeError(f"expected a program (.koord), not the YAML file {text}; {way}")
     return text
 
