@@ -187,8 +187,8 @@ k = 0
 def test_going_through_many_elements_takes_turns(operation: str, cost: int, monkeypatch: pytest.MonkeyPatch) -> None:
     declared = "int n = 0\nfloat f = 0.0\nList<int> ys\nSet<int> us\nGridMap h\n"
     made = 2000 + 2011 + sum(n // 100 for n in range(2001)) * 5 + sum((10 << n) // 100 for n in range(1, 12)) + 2
-    effect = MANY + declared + f"for i in range(50):\n  k += 1\n  {operation}\nxs = []"
-    for limit, outcome in ((made + 50 * (1 + cost), {"k": "50"}), (made + 50 * (1 + cost) - 1, "discarded")):
+    effect = MANY + declared + f"for i in range(10):\n  k += 1\n  {operation}\nxs = []"
+    for limit, outcome in ((made + 10 * (1 + cost), {"k": "10"}), (made + 10 * (1 + cost) - 1, "discarded")):
         monkeypatch.setattr(turns, "MOST_TURNS", limit)
         monkeypatch.setattr(exec, "MAX_TURNS", limit)
         assert both(effect) == outcome
