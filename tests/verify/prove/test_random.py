@@ -22,7 +22,7 @@ from tests.verify.prove.randomly.judges import LIMITS, Effort, Judged, attacked,
 from tests.verify.prove.randomly.programs import Made, checked, program
 from tests.verify.prove.randomly.shrink import shrunk
 
-SHARE = 12  # programs of each half
+SHARE = 8  # programs of each half
 FIXED = range(700_000, 700_000 + SHARE)
 TODAY = range(1_000_000 + 1000 * date.today().toordinal(), 1_000_000 + 1000 * date.today().toordinal() + SHARE)
 FOUND = sorted((Path(__file__).parent / "randomly" / "found").glob("*.koord"))
