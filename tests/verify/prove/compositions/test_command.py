@@ -74,3 +74,11 @@ def test_a_contradicted_verdict_is_unsound_and_nothing_else_is_relied_upon(
 def test_without_an_attack_the_output_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["prove", fleet(tmp_path, HOLDS), "--attack", "0"]) == 0
     assert "not attacked: the attack is switched off by `--attack 0`" in capsys.readouterr().out
+
+
+def test_the_example_survey_is_proved(capsys: pytest.CaptureFixture[str]) -> None:
+    survey = Path(__file__).parents[4] / "examples/survey/fleet.yaml"
+    assert main(["prove", str(survey), "--format", "json", "--attack", "0"]) == 0
+    verdicts = {(v["application"], v["name"]): v["verdict"] for v in json.loads(capsys.readouterr().out)["invariants"]}
+    assert {("mapping", "GlobalTruth"), ("mapping", "guarantee mapping.Truth"), ("task", "Separation")} <= set(verdicts)
+    assert set(verdicts.values()) == {"PROVED"}
