@@ -70,6 +70,7 @@ bench: $(STAMP)
 	$(PY) benchmarks/car_planning.py
 	$(PY) benchmarks/sim.py
 	$(PY) benchmarks/proof_tables.py
+	$(PY) benchmarks/proof_composition.py
 	$(PY) benchmarks/explore.py
 	$(PY) benchmarks/deploy.py
 

@@ -12,11 +12,12 @@ import pytest
 from koordgen.lang.diagnostics import InternalError
 from koordgen.lang.node import replace
 from koordgen.verify.prove.smt import solve
+from koordgen.verify.prove.smt.axis_parallel import axis_parallel
 from koordgen.verify.prove.smt.obligation import LabelledFormula, Obligation
 from koordgen.verify.prove.smt.sexpr import Unreadable, read, value, values
 from koordgen.verify.prove.smt.solve import CrossCheck, Limits, Solver, SolverMissing, solver_of
-from koordgen.verify.prove.smt.term import INT, all_of, constant, less, real
-from tests.verify.prove.terms import ROBOT, contradictory, false_one, hard, true_one, x
+from koordgen.verify.prove.smt.term import INT, REAL, add, all_of, constant, equals, less, multiply, real
+from tests.verify.prove.terms import ROBOT, contradictory, false_one, hard, obligation, true_one, x
 
 QUICK = Limits(query=0.2, total=5.0, memory=512)
 # A solver that does to each question what ANSWER says: `question` is the text up to its echo, `end` the word echoed.
@@ -226,6 +227,33 @@ def test_many_are_answered_as_each_alone_is(name: str) -> None:
         assert [answer.result for _, answer in found] == ["unsat", "sat", "unsat", "sat", "unsat", "unsat"]
         assert [solver.ask(o).result for o, _ in found] == [answer.result for _, answer in found]
         assert solver.ask_all([]) == []
+
+
+def distance_of(x: int, y: int, about: float) -> Obligation:
+    """Facts about two points: these are their gaps along x and y, and their distance is about a number."""
+    d, u, v = (constant(name, REAL) for name in ("d", "u", "v"))
+    square = equals(multiply(d, d), add(multiply(u, u), multiply(v, v)))
+    near = all_of([less(real(about - 0.1), d), less(d, real(about + 0.1))])
+    return obligation({"gap": equals(u, real(x)), "other gap": equals(v, real(y)), "square": square, "near": near},
+                      None, logic="QF_UFNRA")  # fmt: skip
+
+
+def test_consistency_needs_no_points_on_a_line() -> None:
+    """A batch tries points on a line parallel to an axis; without such a model the obligation itself is asked."""
+    with Solver("z3", Limits()) as solver:
+        found = solver.ask_all([[distance_of(0, 2, 2.0)], [distance_of(1, 1, 1.4)], [distance_of(0, 2, 3.0)]])
+    assert [answer.result for _, answer in found] == ["sat", "sat", "unsat"]
+
+
+def test_the_stricter_form_is_linear_and_implies_the_obligation() -> None:
+    given = distance_of(1, 1, 1.4)
+    stricter = axis_parallel(given)
+    assert stricter is not None and stricter.logic == "QF_UFLRA"
+    assert axis_parallel(replace(given, expected="unsat")) is None, "a proof must not get more facts"
+    with Solver("z3", Limits()) as solver:
+        for fact, other in zip(given.facts, stricter.facts, strict=True):
+            claim = replace(given, facts=(other,), goal=fact, expected="unsat")
+            assert solver.ask(claim).result == "unsat", fact.label
 
 
 def test_what_is_beyond_the_batch_is_asked_alone() -> None:

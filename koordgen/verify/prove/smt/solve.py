@@ -17,6 +17,7 @@ from contextlib import suppress
 from typing import Literal, NamedTuple, Self
 
 from koordgen.lang.diagnostics import InternalError
+from koordgen.verify.prove.smt.axis_parallel import axis_parallel
 from koordgen.verify.prove.smt.obligation import Obligation
 from koordgen.verify.prove.smt.process import Process, ProcessEnded, memory_limit
 from koordgen.verify.prove.smt.sexpr import ModelValue, Unreadable, values
@@ -220,29 +221,37 @@ class Solver:
         """Answer many obligations. Each answer has the same meaning as an answer of `ask`.
 
         The obligations of one group share most of their facts. z3 receives a group in one batch, and works on the batch
-        while the caller encodes the next group. An obligation that z3 leaves undecided in the batch is asked again
-        alone. Raises SolverMissing."""
+        while the caller encodes the next group. In the batch, a nonlinear consistency obligation has its stricter form
+        (axis_parallel.py). An obligation that z3 leaves undecided in the batch is asked again alone. Raises
+        SolverMissing."""
         self.start()
         batch = Batch(self)
-        found: list[Obligation] = []
+        found: list[tuple[Obligation, Obligation]] = []  # obligation, and the form that is sent in the batch
         for group in groups:
-            found += group
-            apt = group and all(o.logic in LINEAR and not o.too_large for o in group)
+            pairs = [(o, axis_parallel(o) or o) for o in group]
+            found += pairs
+            sent = [form for _, form in pairs]
+            apt = sent and all(o.logic in LINEAR and not o.too_large for o in sent)
             if self.name == "z3" and apt and self._process is not None:
                 try:
-                    batch.add(group)
+                    batch.add(sent)
                 except SolverFailed:
                     self.end()
         answers: dict[int, SolverAnswer] = {}
         if self._process is not None and batch.sent:
             try:
-                answers = {
-                    key: SolverAnswer(*output) for key, output in batch.answers().items() if output[0] != "unknown"
-                }
+                answers = {key: SolverAnswer(*output) for key, output in batch.answers().items()}
             except SolverFailed:
                 self.end()
         self.spent += sum(answer.seconds for answer in answers.values())
-        return [(o, answers[id(o)] if id(o) in answers else self.ask(o)) for o in found]
+        return [(o, self._decided(o, form, answers.get(id(form))) or self.ask(o)) for o, form in found]
+
+    @staticmethod
+    def _decided(obligation: Obligation, form: Obligation, answer: SolverAnswer | None) -> SolverAnswer | None:
+        """Return the answer about an obligation that follows from the answer about its form in a batch, if any does."""
+        if answer is None or answer.result == "unknown" or (form is not obligation and answer.result != "sat"):
+            return None
+        return answer
 
     def parts(self, obligation: Obligation) -> list[Term]:
         """Return the formulas that must be refuted to prove an obligation.
