@@ -69,6 +69,7 @@ CATALOGUE: dict[str, str] = {
     "K058": "a loop invariant or 'old' is not allowed here",
     "K059": "the meaning of a port does not fit",
     "K060": "wrong use of an exported or imported variable",
+    "K061": "wrong port of a provided module",
     "F001": "not valid YAML",
     "F002": "unknown key",
     "F003": "missing key",

@@ -30,7 +30,7 @@ from koordgen.fleet import manifest
 from koordgen.fleet.yaml_reader import Report
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.diagnostics import Diagnostic
-from koordgen.lang.ir.decl import Program
+from koordgen.lang.ir.decl import Program, commanded
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.relations import is_order_of_agents
 from koordgen.lang.semantics.state import World, nobody
@@ -65,6 +65,8 @@ def explore_program(options: Namespace, checked: Program, robots: int, from_flee
         given = {**from_fleet, **around.params, **params(options.param)}
         program = with_params(checked, given)
         result = _search(options, program, robots, around, lambda: _origin(options, program, robots, around, given))
+        if result.violation is None and not result.stopped and (names := sorted(commanded(program))):
+            result = result._replace(stopped=f"commands from outside to {', '.join(names)}, which are not explored")
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except MissingEnvironment as error:
@@ -105,9 +107,10 @@ def _search(
     try:
         machine = Machine(program, robots, possible_answers(around, program, robots), Path(functions))
         surroundings = EnvironmentSteps(machine, around)
+        deadlock = options.deadlock and not commanded(program)  # a fleet that waits for a command is in no deadlock
         search = Search(
             machine, surroundings, bounds, time.monotonic, show,
-            symmetry=options.symmetry, independence=options.independence, deadlock=options.deadlock,
+            symmetry=options.symmetry, independence=options.independence, deadlock=deadlock,
             forgetting=options.forgetting,
         )  # fmt: skip
         with alarm(bounds.seconds):

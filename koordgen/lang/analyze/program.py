@@ -50,6 +50,7 @@ def analyze(program: decl.Program, text: ast.Program, a: Analysis) -> decl.Progr
     checked = decl.Program(
         program.name, program.path, records, program.extern_types, functions, externs, program.specs, params, modules,
         shared, locals_, locks, init, events, properties, exports, program.imports,
+        tuple([_provides(module, a) for module in program.provides]),
     )  # fmt: skip
     if any(variable.type is BOOL for variable in locals_):
         from koordgen.lang.analyze.rules.waiting import check_waiting
@@ -112,6 +113,11 @@ def _module(module: decl.Module, a: Analysis) -> decl.Module:
 def _export(export: decl.Export, a: Analysis) -> decl.Export:
     guarantees = [replace(each, formula=_formula(each.formula, "guarantee", a)) for each in export.guarantees]
     return replace(export, guarantees=tuple(guarantees))
+
+
+def _provides(module: decl.Provides, a: Analysis) -> decl.Provides:
+    ports = [replace(each, value=_formula(each.value, "provided", a)) for each in module.ports]
+    return replace(module, ports=tuple(ports))
 
 
 def _formula(formula: Expr, place: Section, a: Analysis) -> Expr:

@@ -44,7 +44,14 @@ def claim_names(program: ast.Program, c: Context) -> None:
                 for item in items:
                     if not (isinstance(item, ast.Imported) and isinstance(item.type, BrokenType)):
                         _claim(item.name, item, "imported", kinds, c)
-            case ast.Init() | ast.Property() | ast.Export() | ast.BrokenSection() | ast.Param(BrokenType()):
+            case (
+                ast.Init()
+                | ast.Property()
+                | ast.Export()
+                | ast.Provides()
+                | ast.BrokenSection()
+                | ast.Param(BrokenType())
+            ):
                 pass
             case _:
                 _claim(section.name, section, "", kinds, c)

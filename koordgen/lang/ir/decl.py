@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
-from koordgen.lang.ir.expr import Expr, PortCall, Quantified, TempRead
+from koordgen.lang.ir.expr import Expr, PortCall, Quantified, SharedRead, TempRead
 from koordgen.lang.ir.stmt import Block
 from koordgen.lang.ir.tree import children, walk
 from koordgen.lang.ir.types import RecordType, Type
@@ -267,6 +267,25 @@ class Import(Node):
         return f"{self.name}.pid"
 
 
+class Provided(Node):
+    """Port that the program provides to the program of another fleet, for which this fleet is one robot.
+
+    `value`: the value of a sensor, an expression over shared variables; of an actuator, the read of the allwrite
+    variable into which a command is written.
+    """
+
+    port: Port
+    value: Expr
+
+
+class Provides(Node):
+    """Section `provides NAME:`, with the ports of a module that the fleet has as one robot."""
+
+    name: str
+    ports: tuple[Provided, ...]
+    span: Span
+
+
 class Program(Node):
     """A checked program.
 
@@ -292,6 +311,7 @@ class Program(Node):
     properties: tuple[Property, ...]
     exports: tuple[Export, ...] = ()
     imports: tuple[Import, ...] = ()
+    provides: tuple[Provides, ...] = ()
 
     def earlier(self, event: Event) -> tuple[Event, ...]:
         """Return the events before `event` in its `priority:` block; none if it stands in no block.
@@ -302,6 +322,16 @@ class Program(Node):
             return ()
         block = [other for other in self.events if other.priority == event.priority]
         return tuple(block[: [other.name for other in block].index(event.name)])
+
+
+def commanded(program: Program) -> frozenset[str]:
+    """Return the allwrite variables that commands from outside the fleet write; see Provides."""
+    return frozenset(
+        provided.value.name
+        for module in program.provides
+        for provided in module.ports
+        if provided.port.direction == "actuator" and isinstance(provided.value, SharedRead)
+    )
 
 
 def own_shared(program: Program) -> list[Shared]:

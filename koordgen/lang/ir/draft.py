@@ -16,8 +16,11 @@ from koordgen.lang.source import Span
 
 # The section of an expression decides what it may read: `constant` (literals, params), `init`, `guard`, `effect`,
 # `function` (parameters, params), `contract` (parameters, params, `result`), `property` (everything, by robot),
-# `assume` (one module's ports, primed or not, params, pid), `guarantee` (its variable, primed or not, params).
-Section = Literal["constant", "init", "guard", "effect", "function", "contract", "property", "assume", "guarantee"]
+# `assume` (one module's ports, primed or not, params, pid), `guarantee` (its variable, primed or not, params),
+# `provided` (shared variables, params).
+Section = Literal[
+    "constant", "init", "guard", "effect", "function", "contract", "property", "assume", "guarantee", "provided"
+]
 
 
 class SlotPlace(Node):

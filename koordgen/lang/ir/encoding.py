@@ -132,6 +132,8 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
     decl.Property: (0x7D, "kind name formula"),
     decl.Guarantee: (0x65, "name ~before ~after formula"),
     decl.Export: (0x66, "variable is_written guarantees"),
+    decl.Provided: (0x69, "port value"),
+    decl.Provides: (0x6A, "name ports"),
     decl.Import: (0x67, "name variables slots written specs"),
     # `init` comes first, because the temporaries of the program's own scope are those of `init`.
     decl.Program: (
@@ -142,6 +144,8 @@ LAYOUTS: Final[dict[type, tuple[int, str]]] = {
 
 # Tag of a program with exports or imports, and the fields that it has after those in LAYOUTS.
 CONNECTED: Final = 0x68, "exports imports"
+# Likewise for a program that provides modules.
+PROVIDING: Final = 0x6B, "exports imports provides"
 
 # Words that no Koord program contains: directions of ports, and updates of values (ir/builtins.py). All others (names
 # of types, operators, builtin functions, kinds of properties) are words of the language and encoded as strings.
@@ -153,7 +157,7 @@ WORDS: Final[dict[str, int]] = {
 
 _SCOPES: Final = (
     decl.Program, decl.Function, decl.ExternFunction, decl.SpecFunction, decl.Assumption, decl.Event, decl.Property,
-    decl.Guarantee,
+    decl.Guarantee, decl.Provided,
 )  # fmt: skip
 
 _Item = Node | tuple[Any, ...] | str | int | float | None
@@ -181,7 +185,9 @@ def _compiled(entry: tuple[int, str], node: type) -> tuple[int, bool, tuple[tupl
 
 
 _COMPILED = {node: _compiled(entry, node) for node, entry in LAYOUTS.items()}
-_CONNECTED = _compiled((CONNECTED[0], f"{LAYOUTS[decl.Program][1]} {CONNECTED[1]}"), decl.Program)
+_CONNECTED, _PROVIDING = [
+    _compiled((tag, f"{LAYOUTS[decl.Program][1]} {more}"), decl.Program) for tag, more in (CONNECTED, PROVIDING)
+]
 
 
 def _string(value: str) -> bytes:
@@ -231,8 +237,8 @@ class _Writer:
                 out += b"\6" + _number(len(item))
                 pending.extend(reversed(item))
             elif (layout := _COMPILED.get(kind)) is not None:
-                if kind is decl.Program and (item.exports or item.imports):
-                    layout = _CONNECTED
+                if kind is decl.Program and (item.exports or item.imports or item.provides):
+                    layout = _PROVIDING if item.provides else _CONNECTED
                 tag, scope, fields = layout
                 out.append(tag)
                 if scope:

@@ -55,6 +55,11 @@ def show(program: decl.Program) -> str:
     for export in program.exports:
         lines.append(f"export {'write ' if export.is_written else ''}{export.variable}")
         lines += [f"  guarantee {g.name}: {expression(g.formula)}" for g in export.guarantees]
+    for provides in program.provides:
+        lines.append(f"provides {provides.name}")
+        for provided in provides.ports:
+            port = provided.port
+            lines.append(f"  {port.direction} {_variable(port.name, port.type)} = {expression(provided.value)}")
     for imported in program.imports:
         names = [f"{'write ' if name in imported.written else ''}{name}" for name in imported.variables]
         lines.append(f"import {imported.name}: {', '.join(names)}")

@@ -157,6 +157,8 @@ class _Walk(Expressions):
                 self.declare(guarantee.before, type_, guarantee.span)
                 self.declare(guarantee.after, type_, guarantee.span)
                 self.typed(guarantee.formula, BOOL)
+        for module in p.provides:
+            self.provided(module)
         for imported in p.imports:
             for name in imported.variables:
                 require(name in self.cells, f"the imported variable {name} is not declared", imported.span)
@@ -164,6 +166,18 @@ class _Walk(Expressions):
             require(inside and not {*imported.slots} & {*imported.written}, "an import is inconsistent", imported.span)
             members = imported.size in self.params and imported.pid in self.locals
             require(members, f"the members of {imported.name} are not declared", imported.span)
+
+    def provided(self, module: decl.Provides) -> None:
+        """Verify that sensors have values of their types, and that commands are written to allwrite variables."""
+        _distinct(f"provided port of {module.name}", [(p.port.name, p.port.span) for p in module.ports])
+        for provided in module.ports:
+            self.enter("provided")
+            self.typed(provided.value, provided.port.type)
+            is_variable = isinstance(provided.value, expr.SharedRead)
+            require(
+                provided.port.direction == "sensor" or (provided.port.direction == "actuator" and is_variable),
+                "an actuator is no variable", provided.port.span,
+            )  # fmt: skip
 
     def functions(self) -> None:
         callees: set[str] = set()

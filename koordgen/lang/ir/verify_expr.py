@@ -43,23 +43,23 @@ from koordgen.lang.node import Node
 from koordgen.lang.source import Span
 
 # Sections that allow a node, if not all do: `literal` (defaults of params and records), `constant` (other initial
-# values), `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`, `guarantee`.
+# values), `init`, `guard`, `effect`, `function`, `contract`, `property`, `assume`, `guarantee`, `provided`.
 _ACTING = frozenset(("init", "guard", "effect"))
 _PLACES: dict[type, frozenset[str]] = {
     expr.Pid: _ACTING | {"assume"},
-    expr.NSys: _ACTING | {"property", "assume", "guarantee"},
-    expr.Ids: _ACTING | {"property", "assume", "guarantee"},
-    expr.ParamRead: _ACTING | {"constant", "function", "contract", "property", "assume", "guarantee"},
+    expr.NSys: _ACTING | {"property", "assume", "guarantee", "provided"},
+    expr.Ids: _ACTING | {"property", "assume", "guarantee", "provided"},
+    expr.ParamRead: _ACTING | {"constant", "function", "contract", "property", "assume", "guarantee", "provided"},
     expr.LocalRead: _ACTING,
-    expr.SlotRead: _ACTING | {"property"},
-    expr.SlotsRead: frozenset(("guard", "effect", "property")),
-    expr.SharedRead: frozenset(("guard", "effect", "property")),
+    expr.SlotRead: _ACTING | {"property", "provided"},
+    expr.SlotsRead: frozenset(("guard", "effect", "property", "provided")),
+    expr.SharedRead: frozenset(("guard", "effect", "property", "provided")),
     expr.PortRead: _ACTING | {"assume"},
     expr.LocalOf: frozenset(("property",)),
     expr.PortOf: frozenset(("property",)),
-    expr.Quantified: frozenset(("contract", "property", "assume", "guarantee")),
-    expr.Call: _ACTING | {"function", "contract", "property", "assume", "guarantee"},
-    expr.ExternCall: _ACTING | {"function", "contract", "property", "assume", "guarantee"},
+    expr.Quantified: frozenset(("contract", "property", "assume", "guarantee", "provided")),
+    expr.Call: _ACTING | {"function", "contract", "property", "assume", "guarantee", "provided"},
+    expr.ExternCall: _ACTING | {"function", "contract", "property", "assume", "guarantee", "provided"},
     expr.PortCall: frozenset(("init", "effect", "assume")),
 }
 

@@ -156,6 +156,19 @@ def imported_array(c: Children) -> decl.Imported:
     return decl.Imported(c[0], c[1][1], c[3], nodes(c[5:]), False, token_span(c[1]))
 
 
+def provides_(c: Children) -> decl.Provides:
+    return decl.Provides(c[1][1], nodes(c), span_across(c[0], c[1]))
+
+
+def provided_ports(c: Children) -> decl.ProvidedPorts:
+    return decl.ProvidedPorts("sensor" if c[0][1] == "sensors" else "actuator", nodes(c), token_span(c[0]))
+
+
+def provided(c: Children) -> decl.Provided:
+    *marks, value = nodes(c[2:])
+    return decl.Provided(c[0], c[1][1], tuple(marks), value, token_span(c[1]))
+
+
 def _is_written(c: Children) -> tuple[bool, Children]:
     """Return whether the children of an exported or imported variable begin with `write`, and the others."""
     is_written = type(c[0]) is tuple
@@ -529,6 +542,11 @@ def broken_exported(c: Children) -> decl.Exported:
 def broken_imported(c: Children) -> decl.Imported:
     _, name, _, _, _, span = c[0]
     return decl.Imported(types.BrokenType(span), name, broken(c), (), False, span)
+
+
+def broken_provided(c: Children) -> decl.Provided:
+    _, name, _, _, _, span = c[0]
+    return decl.Provided(types.BrokenType(span), name, (), broken(c), span)
 
 
 def broken_port(c: Children) -> decl.Port:

@@ -262,6 +262,32 @@ class Import(Node):
     span: Span
 
 
+class Provided(Node):
+    """Port that the program provides: `Type name as position = value`. Its span is the name's."""
+
+    type: TypeExpr
+    name: str
+    marks: tuple[Mark, ...]
+    value: Expr
+    span: Span
+
+
+class ProvidedPorts(Node):
+    """Block `sensors:` or `actuators:` under `provides Name:`. Its span is the keyword's."""
+
+    direction: Literal["sensor", "actuator"]
+    ports: tuple[Provided, ...]
+    span: Span
+
+
+class Provides(Node):
+    """Section `provides Name:`. Its span is the header's."""
+
+    name: str
+    items: tuple[ProvidedPorts, ...]
+    span: Span
+
+
 class BrokenSection(Node):
     """A section that could not be parsed; the error is already reported. `names` has all names in it."""
 
@@ -271,7 +297,7 @@ class BrokenSection(Node):
 
 Section = (
     Using | Param | Variables | RecordDef | Function | ExternFunction | ExternType | SpecFunction | Property | Init
-    | Event | Priority | Export | Import | BrokenSection
+    | Event | Priority | Export | Import | Provides | BrokenSection
 )  # fmt: skip
 
 

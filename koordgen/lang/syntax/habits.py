@@ -362,7 +362,7 @@ def _interface(site: ErrorSite) -> Diagnostic | None:
 def _section(site: ErrorSite) -> Diagnostic:
     help = (
         "a section begins with 'using', 'param', 'local', 'allread', 'allwrite', 'def', 'fun', 'init', 'invariant', "
-        "..., 'priority', 'export', 'import' or, for an event, with its name: 'Name:'"
+        "..., 'priority', 'export', 'import', 'provides' or, for an event, with its name: 'Name:'"
     )
     if site.kind in ("pre", "eff"):
         help = f"'{site.kind}' must be indented under the name of its event"

@@ -32,7 +32,7 @@ GENERICS = frozenset(("List", "Map", "Set", "Queue"))
 _SOFT = frozenset(
     (
         "max", "type", "requires", "ensures", "priority", "as", "at", "clears", "export", "import", "write",
-        "guarantee",
+        "guarantee", "provides",
     )
 )  # fmt: skip
 _MARKS = frozenset(
@@ -62,7 +62,7 @@ _BEGINS = re.compile(
     r"[ ]*(?:using|sensors|actuators|assume|param|allread|allwrite|local|init|pre|eff|def|fun|extern|spec|axiom"
     r"|invariant|initially|elif|for|while|break|continue|return|atomic|pass|stop)\b"
     r"|[ ]*(?:if\b[^\n]*|else[ \t]*):[ \t]*(?:[\n#])"
-    r"|(?:import[ \t]+)?[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
+    r"|(?:(?:import|provides)[ \t]+)?[A-Za-z_][A-Za-z0-9_]*[ \t]*:[ \t]*(?:[\n#]|pre\b|eff\b)"
 )
 # Likewise for assignments. But `name =` alone may also be an argument of a call.
 _ASSIGNS = re.compile(
@@ -315,10 +315,10 @@ class _Layout:
         elif text in ("as", "at", "clears"):  # after `Type name` of a port, or after the names of another mark
             before = tokens[-2][0] if len(tokens) > 1 else ""
             named = last == "NAME" and before in ("NAME", ">", "]", ")", ",", "as", "at", "clears")
-            meant = named and tokens[0][0] == "using"
+            meant = named and tokens[0][0] in ("using", "provides")
         elif text == "type":
             meant = last == "extern"
-        elif text in ("priority", "export", "import"):  # at the left margin
+        elif text in ("priority", "export", "import", "provides"):  # at the left margin
             meant = not tokens
         elif text in ("write", "guarantee"):  # at the beginning of a line, or after a header's colon
             meant = last in ("INDENT", "NEWLINE", "DEDENT", ":") and tokens[0][0] in ("export", "import")

@@ -16,7 +16,7 @@ _STATEMENT = {
 }  # fmt: skip
 _SECTION = {
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
-    "init", "priority", "export", "import", "NAME",
+    "init", "priority", "export", "import", "provides", "NAME",
 }  # fmt: skip
 _OPERATORS = {
     "+", "-", "*", "/", "//", "%", "**", "<<", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not", "in", "if", ".",

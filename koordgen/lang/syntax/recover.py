@@ -25,7 +25,7 @@ _DEEPEST_STACK = 20 * DEEPEST_TREE  # states; more than the deepest allowed tree
 _MARGINS = ("NEWLINE", "INDENT", "DEDENT")
 _DEPTH = {"(": 1, "[": 1, "{": 1, ")": -1, "]": -1, "}": -1}
 _CATCHING = ("except", "catch", "finally")
-_NAMED = ("using", "def", "invariant", "axiom")  # keywords of headers with a name
+_NAMED = ("using", "provides", "def", "invariant", "axiom")  # keywords of headers with a name
 
 Tokens = list[Any]
 States = list[int]

@@ -10,7 +10,7 @@ from koordgen.lang.syntax.layout import KEYWORDS, Token
 
 _SECTIONS = (
     "using", "param", "allread", "allwrite", "local", "def", "fun", "extern", "spec", "axiom", "invariant", "initially",
-    "init", "priority", "export", "import",
+    "init", "priority", "export", "import", "provides",
 )  # fmt: skip
 _STATEMENTS = (
     "if", "elif", "else", "for", "while", "atomic", "return", "break", "continue", "pass", "stop",

@@ -32,6 +32,7 @@ from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.attack.judge import (
+    COMMANDS,
     ENVIRONMENT,
     INIT,
     Act,
@@ -58,6 +59,7 @@ ORDERS = 150  # largest number of events that are run from one state of the solv
 VARIED_ORDERS = 8  # largest number of events that are run from one variation of a known state
 MODEL_RUNS = 60  # estimate: the number of event runs that one state from the solver makes possible
 SKIPS = 0.15  # probability that a robot runs no event in a round of a random walk
+COMMANDED = 0.3  # probability that commands are written before a robot's event in a random walk
 STALE = 400  # the attack ends after STALE attempts, to find a state or to run a step, without a new state
 FIRST = 0.4  # largest share of the time budget for initial states and first events
 
@@ -120,8 +122,10 @@ class RunPoint(NamedTuple):
     def then(self, act: Act, now: State) -> RunPoint:
         """Return the point of the run after the step `act`, which leads to the state `now`.
 
-        A step of the environment, or `init`, ends the present round."""
+        A step of the environment, or `init`, ends the present round. Commands do not."""
         acts = (*self.acts, act)
+        if act.event == COMMANDS:
+            return RunPoint(self.first, self.start, now, self.turns, acts)
         if act.pid is None:
             return RunPoint(self.first, now, now, frozenset(), acts)
         return RunPoint(self.first, self.start, now, self.turns | {act.pid}, acts)
@@ -203,6 +207,8 @@ class _AttackSearch:
         self.random = Random(seed)
         free = [] if rounded else [p.name for p in program.params if p.name not in params]
         self.states = States(self.exact, free, self.random)
+        types = {v.name: v.type for v in self.exact.shared}
+        self.commands = {name: types[name] for name in sorted(decl.commanded(self.exact))}
         self.proved = proved
         self.judge = TrialJudge(self.exact, proved, self.states.answers)
         self.fleets = FLEETS if robots is None else (robots,)
@@ -318,6 +324,7 @@ class _AttackSearch:
     def once(self, place: RunPoint) -> Iterator[None]:
         """From a point of a run, run each possible event of one robot, each followed by a step of the environment."""
         self.settle(place)
+        self.commanded(place)
         for step in self.steps(place):
             yield
             self.settle(step)
@@ -337,6 +344,8 @@ class _AttackSearch:
         for _ in range(ROUNDS):
             robots = len(place.now.robots)
             for pid in self.random.sample(range(robots), robots):
+                if self.commands and self.random.random() < COMMANDED:
+                    place = self.commanded(place)
                 if self.random.random() >= SKIPS:
                     place = self.turn(place, pid)
                     yield
@@ -410,6 +419,7 @@ class _AttackSearch:
         while places and count < most:
             place = places.pop(0)
             self.settle(place)
+            self.commanded(place)
             for step in self.steps(place):
                 count += 1
                 yield
@@ -455,6 +465,15 @@ class _AttackSearch:
         if found is None:
             return None
         after, act, breach = found
+        return self.check(place, act, after, breach)
+
+    def commanded(self, place: RunPoint) -> RunPoint:
+        """Write drawn commands of another fleet, if the program takes any. Return the point of the run afterwards."""
+        if not self.commands:
+            return place
+        self.unit()
+        commands = {name: self.states.value(type_, place.now) for name, type_ in self.commands.items()}
+        after, act, breach = self.judge.commanded(place.now, commands)
         return self.check(place, act, after, breach)
 
     def settle(self, place: RunPoint) -> RunPoint | None:

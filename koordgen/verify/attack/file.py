@@ -43,7 +43,7 @@ from koordgen.lang.semantics.state import Robot, State, Store
 from koordgen.lang.semantics.values import RecordValue, Value, conforms, encodable
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose, Scan
-from koordgen.verify.attack.judge import ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
+from koordgen.verify.attack.judge import COMMANDS, ENVIRONMENT, INIT, Act, Contradiction, Trial, names_of
 from koordgen.verify.attack.ports import PortAnswer
 
 FORMAT = "koord-unsound/1"
@@ -109,6 +109,8 @@ def to_text(found: Contradiction, proved: Iterable[str], program_hash: str, path
 def _step(act: Act) -> dict[str, Any]:
     if act.event == ENVIRONMENT:
         return {"event": act.event, "sensors": [_values(new) for new in act.sensors]}
+    if act.event == COMMANDS:
+        return {"event": act.event, "commands": _values(act.commands)}
     answers = [
         {"robot": pid, "port": port, "arguments": [to_json(arg) for arg in args], "answer": to_json(answer)}
         for pid, (port, args, answer) in act.answers
@@ -201,6 +203,8 @@ class _TrialReader:
         ports = [(m, p) for m in program.modules for p in m.ports if p.direction in ("sensor", "actuator")]
         self.ports = {f"{m.name}.{p.name}": p.type for m, p in ports}
         self.sensors = {f"{m.name}.{p.name}": p.type for m, p in ports if p.direction == "sensor"}
+        commanded = decl.commanded(program)
+        self.commands = {v.name: v.type for v in program.shared if v.name in commanded}
         self.called = {
             f"{n.module}.{n.port}": n for n in walk((program.init, program.events)) if isinstance(n, PortCall)
         }
@@ -264,12 +268,15 @@ class _TrialReader:
         return Robot(own, self.values(table["ports"], "ports", self.ports), table["stopped"])
 
     def act(self, data: Any, robots: int) -> Act:
-        events = [INIT, ENVIRONMENT, *[e.name for e in self.program.events]]
+        events = [INIT, ENVIRONMENT, COMMANDS, *[e.name for e in self.program.events]]
         event = self.name(data.get("event") if isinstance(data, dict) else None, "a step's event", events)
         if event == ENVIRONMENT:
             table = self.table(data, "a step", ("event", "sensors"))
             moved = self.items(table["sensors"], "sensors", robots, robots)
             return Act(event, None, tuple([self.values(new, "sensors", self.sensors) for new in moved]))
+        if event == COMMANDS:
+            table = self.table(data, "a step", ("event", "commands"))
+            return Act(event, commands=self.values(table["commands"], "commands", self.commands))
         table = self.table(data, "a step", ("event", "robot", "answers"))
         if event == INIT and table["robot"] is not None:
             raise BadFile("the step `init` is run by all robots, so the step's `robot` must be null")

@@ -31,7 +31,7 @@ from koordgen.verify.prove.report.model import is_allowed
 from koordgen.verify.prove.report.model_reader import Unshowable
 
 WELL_DEFINED = "(well-defined)"
-INIT, ENVIRONMENT = "init", "(environment)"
+INIT, ENVIRONMENT, COMMANDS = "init", "(environment)", "(commands from outside)"
 # Beginning of the semantics' message about a fault that the compiler proved to be impossible.
 PROVED_RIGHT = "proved to have a value, but: "
 # Beginnings of the semantics' messages about faults that the invariant `(well-defined)` excludes. The invariant does
@@ -42,6 +42,7 @@ COVERED = (
     "math domain error", "an int to the power of a negative one",
 )  # fmt: skip
 COVERED_WITHIN = (" by zero", " is no place in a list of ", " requires what does not hold")
+NO_VALUES: Mapping[str, Value] = {}
 TRUE = ir.Const(True, BOOL, Span(1, 1, 1, 1))
 FALLIBLE = frozenset(
     ("first", "last", "index", "map_at", "sqrt", "updated", "without", "inserted", "popped", "removed", "set_without",
@@ -50,17 +51,19 @@ FALLIBLE = frozenset(
 
 
 class Act(NamedTuple):
-    """One step of a run: an event of a robot, `init` of all robots, or a step of the environment.
+    """One step of a run: an event of a robot, `init` of all robots, a step of the environment, or commands.
 
-    `event`: name of the event, INIT or ENVIRONMENT.
-    `pid`: robot that runs the event; None for INIT and ENVIRONMENT, which are steps of all robots.
+    `event`: name of the event, INIT, ENVIRONMENT or COMMANDS.
+    `pid`: robot that runs the event; None for INIT and ENVIRONMENT, which are steps of all robots, and for COMMANDS.
     `sensors`: new sensor values of each robot after a step of the environment.
+    `commands`: new values of the variables that another fleet commands; see decl.Provides.
     `answers`: results of the port calls in this step."""
 
     event: str
     pid: int | None = None
     sensors: tuple[Mapping[str, Value], ...] = ()
     answers: tuple[PortAnswer, ...] = ()
+    commands: Mapping[str, Value] = NO_VALUES
 
 
 class Trial(NamedTuple):
@@ -339,6 +342,11 @@ class TrialJudge:
         after = sense(now, sensors)._replace(round=now.round + 1)
         return after, Act(ENVIRONMENT, sensors=sensors), self.judged(after, ENVIRONMENT)
 
+    def commanded(self, now: State, commands: Mapping[str, Value]) -> tuple[State, Act, VerdictBreach | None]:
+        """Write commands of another fleet into their variables, and judge the state afterwards."""
+        after = now._replace(store=now.store._replace(cells={**now.store.cells, **commands}))
+        return after, Act(COMMANDS, commands=commands), self.judged(after, COMMANDS)
+
     def may_move(self, now: State, pid: int, ports: Mapping[str, Value]) -> bool:
         """Return whether the program's assumptions allow that a robot's ports change to the values `ports`.
 
@@ -390,7 +398,10 @@ class TrialJudge:
                 raise TrialNotCovered(f"robot {act.pid} runs two events in one round")
             now, breach = self._replayed(start, states[-1], act)
             states.append(now)
-            start, turns = (now, set()) if act.pid is None else (start, turns | {act.pid})
+            if act.pid is not None:
+                turns.add(act.pid)
+            elif act.event != COMMANDS:
+                start, turns = now, set()
         return ReplayedTrial(tuple(states), Contradiction(trial, breach, *states[-2:]) if breach else None)
 
     def _replayed(self, start: State, now: State, act: Act) -> tuple[State, VerdictBreach | None]:
@@ -406,6 +417,9 @@ class TrialJudge:
             return after, breach
         if act.event == ENVIRONMENT:
             after, _, breach = self.environment(now, act.sensors)
+            return after, breach
+        if act.event == COMMANDS:
+            after, _, breach = self.commanded(now, act.commands)
             return after, breach
         assert act.pid is not None
         ready = self.ready(start, now, act.pid, act.answers)

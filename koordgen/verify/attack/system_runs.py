@@ -38,8 +38,8 @@ from koordgen.lang.semantics.system import (
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.attack.states import States
 from koordgen.verify.prove.encode.loop import written
-from koordgen.verify.prove.obligations.guarantees import FIRST_VALUES, OTHERS, REFLEXIVE, TRANSITIVE
-from koordgen.verify.prove.obligations.interface import GuaranteeInScope, in_scope
+from koordgen.verify.prove.obligations.guarantees import FIRST_VALUES, REFLEXIVE, TRANSITIVE
+from koordgen.verify.prove.obligations.interface import OTHERS, GuaranteeInScope, in_scope
 from koordgen.verify.prove.report.model import exact_all, guarantee_failure, is_allowed
 from koordgen.verify.prove.report.model_reader import Unshowable
 from koordgen.verify.prove.smt.obligation import Obligation

@@ -39,7 +39,8 @@ def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: i
     if result.violation is not None:
         lines += ["", *_violation(result.violation, program), ""]
     elif result.stopped:
-        lines += wrapped(f"ended by: {result.stopped}; no violation found so far")
+        cause = "incomplete because of" if decl.commanded(program) else "ended by"
+        lines += wrapped(f"{cause}: {result.stopped}; no violation found so far")
     else:
         kept = [p.name for p in program.properties if p.kind == "invariant" and p.name not in result.unchecked]
         lines += wrapped(f"true in every state: {', '.join(kept) or 'the program has no invariants'}")

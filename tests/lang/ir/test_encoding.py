@@ -17,7 +17,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.lang.analyze.program import check
 from koordgen.lang.ir import decl, expr, stmt
 from koordgen.lang.ir.builtins import FUNCTIONS, METHODS, UPDATE_SIGNATURES, Signature
-from koordgen.lang.ir.encoding import CONNECTED, HEADER, LAYOUTS, VERSION, WORDS, encode
+from koordgen.lang.ir.encoding import CONNECTED, HEADER, LAYOUTS, PROVIDING, VERSION, WORDS, encode
 from koordgen.lang.ir.types import FLOAT, INT, STRING, MapOf, Sequence, Sized, list_of
 from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
@@ -80,14 +80,14 @@ def unencoded(node: type) -> set[str]:
 def test_each_field_of_each_node_is_encoded_or_listed_as_a_mark(node: type[Node]) -> None:
     assert node in LAYOUTS, "give the new node kind a tag"
     encoded = [field.lstrip("~:^=") for field in LAYOUTS[node][1].split()]
-    encoded += CONNECTED[1].split() if node is decl.Program else []
+    encoded += PROVIDING[1].split() if node is decl.Program else []
     fields = set(node.__match_args__)  # type: ignore[attr-defined]
     assert len(encoded) == len(set(encoded))
     assert set(encoded) == fields - unencoded(node), "encode the new field, or list it as a mark"
 
 
 def test_tags_and_words_are_one_to_one() -> None:
-    tags = [tag for tag, _ in (*LAYOUTS.values(), CONNECTED)]
+    tags = [tag for tag, _ in (*LAYOUTS.values(), CONNECTED, PROVIDING)]
     assert len(set(tags)) == len(tags) and min(tags) >= 0x10 and max(tags) <= 0x7F
     assert len(set(WORDS.values())) == len(WORDS)
     directions = get_args(get_type_hints(decl.Port)["direction"])
@@ -101,7 +101,7 @@ def test_tags_and_words_are_one_to_one() -> None:
 def programs() -> dict[str, decl.Program]:
     files = [*programs_alone(), KITCHEN]
     found = {str(path.relative_to(ROOT)): check_file(str(path)).program for path in files}
-    connected = {"EXPORTER": compiled(EXPORTER), "IMPORTER": compiled(IMPORTER)}
+    connected = {"EXPORTER": compiled(EXPORTER), "IMPORTER": compiled(IMPORTER), "PROVIDER": compiled(PROVIDER)}
     return {**found, "tests/lang/check/sound.py": compiled(TEXT), **connected}
 
 
@@ -222,6 +222,20 @@ Go:
   eff: atomic: done.append(Mapping.N_SYS)
 invariant Good: forall i in Mapping.ID: good(place[i])
 """
+PROVIDER = """\
+provides Motion:
+  sensors:
+    Point position = goal
+    bool reached = goal == last
+  actuators: Point target = goal
+allwrite:
+  Point goal
+  Point last
+local: bool gone
+Go:
+  pre: not gone
+  eff: gone = True
+"""
 CONNECTIONS = {
     "an export": (EXPORTER, "  int place[N_SYS]\n", "", 1),
     "write of an export": (EXPORTER, "write List", "List", 1),
@@ -230,6 +244,12 @@ CONNECTIONS = {
     "the formula of a guarantee": (EXPORTER, "< 9", "< 8", 1),
     "before and after": (EXPORTER, "len(done) <= len(done')", "len(done') <= len(done)", 1),
     "the name of an import": (IMPORTER, "Mapping", "Survey", -1),
+    "a provided module": (PROVIDER, "provides Motion", "provides Arm", 1),
+    "the name of a provided port": (PROVIDER, "reached", "there", 1),
+    "the value of a provided sensor": (PROVIDER, "== last", "!= last", 1),
+    "the mark of a provided port": (PROVIDER, "Point target = goal", "Point target clears reached = goal", 1),
+    "the variable of a provided actuator": (PROVIDER, "target = goal", "target = last", 1),
+    "the direction of a provided port": (PROVIDER, "    bool reached = goal == last\n", "", 1),
     "write of an import": (IMPORTER.replace("atomic: done.append(Mapping.N_SYS)", "pass"), "write ", "", 1),
 }
 

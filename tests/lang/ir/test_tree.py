@@ -19,7 +19,7 @@ from koordgen.lang.syntax import expr as written
 from koordgen.verify.prove.encode.expr import _READERS as prover
 from tests.agree.faults import rewritten
 from tests.lang.ir.everything import nodes
-from tests.lang.ir.test_encoding import EXPORTER, KITCHEN, compiled, ir_classes
+from tests.lang.ir.test_encoding import EXPORTER, KITCHEN, PROVIDER, compiled, ir_classes
 
 AT = Span(7, 7, 7, 8)
 ONE, TWO, THREE = (expr.Const(i, INT, AT) for i in (1, 2, 3))
@@ -81,9 +81,11 @@ FIELDS: dict[type[Node], tuple[str, ...]] = {
     decl.Property: ("formula",),
     decl.Guarantee: ("formula",),
     decl.Export: ("guarantees",),
+    decl.Provided: ("port", "value"),
+    decl.Provides: ("ports",),
     decl.Program: (
         *("records", "extern_types", "functions", "externs", "specs", "params", "modules", "shared", "locals", "init"),
-        *("events", "properties", "exports", "imports"),
+        *("events", "properties", "exports", "imports", "provides"),
     ),
 }
 LEAVES = {
@@ -155,7 +157,7 @@ def test_a_node_that_stands_in_two_places_is_yielded_twice() -> None:
 
 def test_a_walk_visits_all_but_what_is_read_where_it_stands() -> None:
     """`nodes` goes into every field."""
-    programs = (kitchen(), compiled(LOOP), compiled(EXPORTER))
+    programs = (kitchen(), compiled(LOOP), compiled(EXPORTER), compiled(PROVIDER))
     expected = [node for node in nodes(programs) if not isinstance(node, (Span, decl.Meaning, *TYPES))]
     assert [id(node) for node in walk(programs)] == [id(node) for node in expected]
     assert {type(node) for node in expected} >= FIELDS.keys()

@@ -386,6 +386,6 @@ def test_conflicts_are_those_that_the_grammar_tells_of() -> None:
     conflicts = set(zip(told[::2], told[1::2], strict=True))
     pairs = {(re.findall(r"terminal (\w+):", a)[0], re.sub(r"\s+", " ", b).strip(" *<>")) for a, b in conflicts}
     innermost = {(mark, rule) for mark, rule in pairs if mark == "INDENT"}
-    assert {rule.split(" :")[0] for _, rule in innermost} <= {"block", "_suite{port}"}, innermost
+    assert {rule.split(" :")[0] for _, rule in innermost} <= {"block", "_suite{port}", "_suite{provided}"}, innermost
     assert {rule.split(" :")[0] for _, rule in pairs - innermost} <= {"expr", "disjunction"}, pairs
     assert {mark for mark, _ in pairs - innermost if not mark.startswith("__ANON")} == {"AND", "OR", "IF"}

@@ -41,6 +41,18 @@ def test_a_bound_is_4(capsys: pytest.CaptureFixture[str]) -> None:
     assert "explored to depth 1" in capsys.readouterr().out
 
 
+def test_commands_from_outside_are_not_explored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """So the result is not HOLDS, although no violation is found; and a fleet that waits is in no deadlock."""
+    path = tmp_path / "app.koord"
+    path.write_text(
+        "provides Motion:\n  actuators: int target = goal\nallwrite: int goal\nallread: int seen[N_SYS]\n"
+        "Go:\n  pre: seen[pid] != goal\n  eff: seen[pid] = goal\ninvariant Still: goal == 0\n"
+    )
+    assert main(["explore", str(path), "--robots", "2"]) == 4
+    assert "INCONCLUSIVE" in (told := capsys.readouterr().out)
+    assert "incomplete because of: commands from outside to goal, which are not explored" in told
+
+
 def test_a_violation_is_3_with_its_files(app: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     trace, itf = tmp_path / "t.jsonl", tmp_path / "t.itf.json"
     assert main(["explore", app, "--robots", "2", "--trace", str(trace), "--itf", str(itf), "--format", "json"]) == 3

@@ -24,7 +24,7 @@ def help_at_run_time(a: Analysis) -> str:
     """Return the help for an index or a divisor that may be wrong."""
     return (
         "restrict the formula to robots of the fleet"
-        if a.place in ("property", "assume", "guarantee")
+        if a.place in ("property", "assume", "guarantee", "provided")
         else _CHECKED_AT_RUN_TIME
     )
 

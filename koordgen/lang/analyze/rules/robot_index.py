@@ -59,7 +59,7 @@ def index_proved(index: ir.Expr, span: Span, a: Analysis) -> bool:
     check = f"'if {test}:' around the statement proves that the index names a robot"
     help = (
         help_at_run_time(a)
-        if a.place in ("property", "assume", "guarantee") or len(check) > 116
+        if a.place in ("property", "assume", "guarantee", "provided") or len(check) > 116
         else f"{help_at_run_time(a)}; {check}"
     )
     a.warn("K031", f"{a.text(span)} may name no robot{missing_condition(open_)}", span, help)

@@ -366,9 +366,11 @@ def _step(node: ir.Expr) -> int:
 
 def check_quantified(node: ast.Quantified, c: Context, wanted: Type | None = None) -> ir.Expr:
     """Check a quantifier. A quantifier of several names becomes nested quantifiers over the same domain."""
-    if c.place not in ("property", "contract", "assume", "guarantee") and c.entry is None:
+    if c.place not in ("property", "contract", "assume", "guarantee", "provided") and c.entry is None:
         help = "use a loop in place of the quantifier: 'for i in ID:'"
-        message = f"'{node.kind}' is only allowed in properties, guarantees, contracts and loop invariants"
+        message = (
+            f"'{node.kind}' is only allowed in properties, guarantees, contracts, provided ports and loop invariants"
+        )
         return c.error("K054", message, node.span, help)
     domain = check_domain(node.domain, c)
     c.scopes.append({})

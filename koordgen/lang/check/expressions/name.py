@@ -134,7 +134,7 @@ def check_name(node: ast.Name, c: Context, wanted: Type | None = None) -> ir.Exp
 
 
 def _shared(name: str, entity: Shared, span: Span, c: Context) -> ir.Expr:
-    if c.place != "property":
+    if c.place not in ("property", "provided"):
         wrong = reject_robot_state("the variable ", name, span, c)
         if wrong is not None:
             return wrong
@@ -170,6 +170,9 @@ def reject_robot_state(what: str, name: str, span: Span, c: Context) -> ir.Expr 
             both = f"{c.guaranteed} and {c.guaranteed}'"
             message = f"a guarantee can only use {both}, params, and ID and N_SYS, not {what}{name}"
             return c.error("K054", message, span, "an invariant may relate several variables")
+        case "provided":
+            message = f"a provided port can only use shared variables, params, and ID and N_SYS, not {what}{name}"
+            return c.error("K054", message, span, "any robot of the fleet must be able to compute the value")
         case _:
             message = f"an assumption can only use its module's ports, params and pid, not {what}{name}"
             return c.error("K054", message, span)
@@ -180,7 +183,11 @@ def _predefined(node: ast.Name, c: Context) -> ir.Expr:
     if name == "pid":
         return (reject_robot_state("", name, span, c) if c.place != "assume" else None) or ir.Pid(INT, span)
     if name == "N_SYS" or name == "ID":
-        wrong = reject_robot_state("", name, span, c) if c.place not in ("property", "assume", "guarantee") else None
+        wrong = (
+            reject_robot_state("", name, span, c)
+            if c.place not in ("property", "assume", "guarantee", "provided")
+            else None
+        )
         return wrong or (ir.NSys(INT, span) if name == "N_SYS" else ir.Ids(_IDS, span))
     if name in CONSTANTS:
         return ir.Const(CONSTANTS[name], FLOAT, span)

@@ -34,7 +34,7 @@ def modules(sections: list[ast.Using], c: Context) -> list[decl.Module]:
     result = []
     for name, (section, ports, written) in found.items():
         if is_owner(name, section, c):
-            meant = [replace(port, meaning=_meaning(written[port.name], port, ports, c)) for port in ports.values()]
+            meant = [replace(port, meaning=meaning(written[port.name], port, ports, c)) for port in ports.values()]
             module = decl.Module(name, tuple(meant), (), section.span)
             enter(name, section, module, c)
             result.append(module)
@@ -56,7 +56,7 @@ def _add_port(
     ports[node.name] = decl.Port(node.name, with_capacities(type_, (), True, c), direction, NO_MEANING, node.span)
 
 
-def _meaning(node: ast.Port, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
+def meaning(node: ast.Port | ast.Provided, port: decl.Port, ports: dict[str, decl.Port], c: Context) -> decl.Meaning:
     """Return the meaning of a port, as its marks (`as`, `at`, `clears`) declare it.
 
     A port without marks has the usual meaning of a port of that name."""

@@ -92,10 +92,15 @@ def _program(program: ast.Program, c: Context) -> decl.Program:
         from koordgen.lang.check.sections.interface import exports as check_exports
 
         exports = check_exports(of(ast.Export), c)
+    provides: tuple[decl.Provides, ...] = ()
+    if ast.Provides in sections:
+        from koordgen.lang.check.sections.provides import provides as check_provides
+
+        provides = check_provides(of(ast.Provides), c)
     path = os.path.basename(c.source.path)
     return decl.Program(
         os.path.splitext(path)[0], path, records, opaque, functions, externs, specs, (*params, *imported.sizes),
-        assuming, shared, locals_, (), init, acting, properties, exports, imported.imports,
+        assuming, shared, locals_, (), init, acting, properties, exports, imported.imports, provides,
     )  # fmt: skip
 
 

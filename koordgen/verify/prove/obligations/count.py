@@ -55,7 +55,8 @@ def _of_interface(problem: ProofProblem) -> Iterator[str]:
             if guarantee.key in written(event.effect):
                 yield f"{guarantee.label}-{event.name}"
     foreign = interface.foreign | interface.cleared | interface.commanded
-    yield from (f"{p.name}-other-applications" for p in problem.invariants if problem.mentions[p.name] & foreign)
+    place = interface.others.strip("()").replace(" ", "-")
+    yield from (f"{p.name}-{place}" for p in problem.invariants if problem.mentions[p.name] & foreign)
 
 
 def _at_heads(problem: ProofProblem, owner: str, block: stmt.Block) -> Iterator[str]:

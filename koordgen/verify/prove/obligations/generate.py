@@ -23,7 +23,6 @@ from koordgen.verify.prove.encode.values import Val
 from koordgen.verify.prove.obligations.goal import goal, goal_at
 from koordgen.verify.prove.obligations.guarantees import (
     FIRST_VALUES,
-    OTHERS,
     REFLEXIVE,
     TRANSITIVE,
     assume_imports,
@@ -157,7 +156,7 @@ def interface_parts(problem: ProofProblem, line: int) -> Iterator[Part]:
         yield Part("guarantee", "init", line, names, (), partial(of_init_guarantees, problem))
     touched = tuple([p.name for p in problem.touched(problem.interface.moved)])
     if touched:
-        yield Part("interference", OTHERS, line, touched, (), partial(of_others, problem))
+        yield Part("interference", problem.interface.others, line, touched, (), partial(of_others, problem))
     for g in own_step_guarantees(problem):
         for event, write in ((REFLEXIVE, of_reflexivity), (TRANSITIVE, of_transitivity)):
             yield Part("guarantee", event, g.line, (g.label,), (), partial(write, problem, g))
@@ -258,7 +257,7 @@ def of_init(problem: ProofProblem) -> list[Obligation]:
 def base(problem: ProofProblem) -> list[Obligation]:
     """Return the base case: the invariants hold after every robot's `init` has ended."""
     part_encoder, program = PartEncoder(problem), problem.program
-    ready = StartState(part_encoder, problem.interface.moved)
+    ready = StartState(part_encoder, problem.interface.moved - problem.interface.commands)
     assume_initially(part_encoder, ready.launch)
     assume_launch(part_encoder, ready.launch)
     assume_state(part_encoder, ready, problem.interface.foreign, " after init")

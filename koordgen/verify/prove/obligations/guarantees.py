@@ -25,7 +25,7 @@ from koordgen.verify.prove.smt import term as t
 from koordgen.verify.prove.smt.obligation import Obligation
 from koordgen.verify.prove.smt.term import Term
 
-FIRST_VALUES, OTHERS = "(first values)", "(other applications)"
+FIRST_VALUES = "(first values)"
 REFLEXIVE, TRANSITIVE = "(reflexive)", "(transitive)"
 
 
@@ -197,9 +197,13 @@ def of_others(problem: ProofProblem) -> list[Obligation]:
     goals = [Goal(p.name, goal(part_encoder, p, after), kind="interference") for p in problem.touched(interface.moved)]
     part_encoder.holds(problem.invariants, after, when=AFTERWARDS)
     cells = part_encoder.cells([("before", now), ("after", after)])
-    spans = [each.span for each in problem.program.imports] + [each.span for each in problem.program.exports]
+    spans = [
+        each.span for of in (problem.program.imports, problem.program.exports, problem.program.provides) for each in of
+    ]
     line = spans[0].line if spans else 1
-    return PartOutput(part_encoder, "interference", OTHERS, line, part_encoder.close(), cells).all(goals, (), ())
+    return PartOutput(part_encoder, "interference", interface.others, line, part_encoder.close(), cells).all(
+        goals, (), ()
+    )
 
 
 def own_step_guarantees(problem: ProofProblem) -> list[GuaranteeInScope]:

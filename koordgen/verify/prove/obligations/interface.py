@@ -21,6 +21,8 @@ from koordgen.lang.source import Span
 from koordgen.verify.prove.encode.loop import written
 from koordgen.verify.prove.encode.state import Key, declared
 
+OTHERS, COMMANDS = "(other applications)", "(commands from outside)"
+
 
 class GuaranteeInScope(NamedTuple):
     """Guarantee of a shared variable that an application declares or imports.
@@ -59,7 +61,8 @@ class Interface(NamedTuple):
     """Interface of one application.
 
     `foreign`: the shared variables that another application may write: those exported with `write`, and all imported
-        variables, whether the program writes them itself or not.
+        variables, whether the program writes them itself or not. `commands` belong to them.
+    `commands`: the variables that take commands from another fleet, after `init`; see decl.Provides.
     `cleared`: sensors that a command of another application on the same robot may clear.
     `commanded`: ports that another application on the same robot may command.
     `pids`: the local variables `Name.pid`, which never change.
@@ -68,6 +71,7 @@ class Interface(NamedTuple):
 
     guarantees: tuple[GuaranteeInScope, ...] = ()
     foreign: frozenset[Key] = frozenset()
+    commands: frozenset[Key] = frozenset()
     cleared: frozenset[Key] = frozenset()
     commanded: frozenset[Key] = frozenset()
     pids: frozenset[Key] = frozenset()
@@ -82,6 +86,21 @@ class Interface(NamedTuple):
     @property
     def ports(self) -> frozenset[Key]:
         return self.cleared | self.commanded
+
+    def with_commands(self, program: decl.Program) -> Interface:
+        """Return the interface of a program that another fleet commands, as the modules that it provides allow."""
+        commands = frozenset([("cell", name) for name in decl.commanded(program)])
+        return self._replace(foreign=self.foreign | commands, commands=commands) if commands else self
+
+    @property
+    def is_alone(self) -> bool:
+        """Return whether the program runs alone on its fleet. Another fleet may command it."""
+        return self._replace(foreign=self.foreign - self.commands, commands=frozenset()) == ALONE
+
+    @property
+    def others(self) -> str:
+        """Return the name of the steps from outside the program, as obligations have it."""
+        return COMMANDS if self.is_alone else OTHERS
 
     def of(self, keys: Collection[Key]) -> list[GuaranteeInScope]:
         """Return the guarantees of the variables `keys`."""
@@ -122,7 +141,7 @@ def in_scope(system: System, index: int) -> ApplicationInScope:
     pids = frozenset([("local", imported.pid) for imported in program.imports])
     facts = tuple([fact for imported in program.imports for fact in _facts(imported, program)])
     sizes = tuple([fact for imported in program.imports for fact in _sizes(imported, program)])
-    interface = Interface(tuple(guarantees), frozenset(foreign), cleared, commanded, pids, facts, sizes)
+    interface = Interface(tuple(guarantees), frozenset(foreign), frozenset(), cleared, commanded, pids, facts, sizes)
     return ApplicationInScope(program, ALONE if interface == ALONE else interface)
 
 

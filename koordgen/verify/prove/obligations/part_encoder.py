@@ -50,7 +50,7 @@ class ProofProblem:
         self, program: decl.Program, robots: int | None, params: Mapping[str, ir.Expr] | None, detail: Detail,
         dropped: frozenset[HeadFormula] = frozenset(), interface: Interface = ALONE,
     ) -> None:  # fmt: skip
-        self.detail, self.interface = detail, interface
+        self.detail, self.interface = detail, interface.with_commands(program)
         pairs = any(_pairs(p.formula) for p in program.properties)
         self.unrolled = robots is not None and (robots <= (PAIRED if pairs else UNROLLED))
         self.program, self.robots, self.params = program, robots, params or {}

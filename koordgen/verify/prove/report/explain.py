@@ -101,7 +101,7 @@ class Explainer:
         if invariant is None:
             hint = overwritten(relied, shown, self.interface)
             return FailureExplanation(shown, None, "", (), self.holds_with_defaults(name, relied), hint=hint)
-        if self.interface is not ALONE:  # a run of one application alone is no run of the fleet
+        if not self.interface.is_alone:  # a run of one application alone is no run of the fleet
             return FailureExplanation(shown, None, "", self.lacking(self.proved, invariant) or ())
         values = shown.before.params
         program = with_values(exact(self.program), {p: v for p, v in values.items() if self.free(p)})

@@ -11,6 +11,7 @@ from koordgen.lang.semantics.exact import Root
 from koordgen.lang.semantics.state import Robot, State
 from koordgen.lang.semantics.values import RecordValue
 from koordgen.runtime.values.points import Grid, Opaque, Point, Pose
+from koordgen.verify.prove.obligations.interface import COMMANDS
 from koordgen.verify.prove.report.koord_text import number, to_koord
 from koordgen.verify.prove.report.model import Conjunct, Counterexample
 from koordgen.verify.prove.report.reach import CounterexampleRun, RunState
@@ -43,7 +44,8 @@ def _step(found: Counterexample) -> str:
     if found.kind == "base":
         return f"the state after init {place}".rstrip()
     if found.kind == "interference":
-        return "a step of another application, from a state in which all invariants hold"
+        step = "a command from outside" if found.event == COMMANDS else "a step of another application"
+        return f"{step}, from a state in which all invariants hold"
     if found.kind == "guarantee" and found.pid is None:
         return {
             "(first values)": "the first values, before any init",

@@ -79,6 +79,7 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerd
     Raises SolverMissing."""
     solver.start()
     program = question.program
+    question = question._replace(interface=question.interface.with_commands(program))
     asked = _as_for_any(question, program, solver) or _settled(
         question, program, solver, SolvedObligations([], frozenset(), {})
     )

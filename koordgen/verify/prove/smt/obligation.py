@@ -67,7 +67,7 @@ class Obligation(Node):
 
     `invariant`: the invariant's name, "(well-defined)" or, for a guarantee, "guarantee mapping.Kept".
     `event`: the event's name, "init", "(environment)" or "". With several applications also "(first values)",
-        "(other applications)", "(reflexive)" and "(transitive)".
+        "(other applications)", "(commands from outside)", "(reflexive)" and "(transitive)".
     `conjuncts`: the goal as conjuncts, so that a counterexample can show the conjunct that fails.
     `robots`: the number of robots; None for any number.
     `notes`: each approximation in the encoding, and each assumption that is not in the program.

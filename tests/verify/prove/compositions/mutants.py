@@ -18,7 +18,8 @@ MUTANTS: dict[str, Mutant] = {
         "after_init = init_guarantees(problem)", "after_init = []"),
     "no other application writes in its init": Mutant(
         "B", UNSOUND, generate.base, "an importer's init breaks an invariant",
-        "StartState(part_encoder, problem.interface.moved)", "StartState(part_encoder, frozenset())"),
+        "StartState(part_encoder, problem.interface.moved - problem.interface.commands)",
+        "StartState(part_encoder, frozenset())"),
     "guarantees are not known after init": Mutant(
         "B", WEAKER, generate.base, "an invariant that a state guarantee protects at the start",
         'assume_state(part_encoder, ready, problem.interface.foreign, " after init")', "pass"),

@@ -17,7 +17,17 @@ from koordgen.verify.prove.encode import (
     state,
     stmt,
 )
-from koordgen.verify.prove.obligations import generate, goal, interference, loops, mission_start, output, priority
+from koordgen.verify.prove.obligations import (
+    generate,
+    goal,
+    guarantees,
+    interface,
+    interference,
+    loops,
+    mission_start,
+    output,
+    priority,
+)
 from koordgen.verify.prove.obligations.part_encoder import PartEncoder, ProofProblem
 from koordgen.verify.prove.report import verdict
 from koordgen.verify.prove.smt import term as t
@@ -106,6 +116,13 @@ MUTANTS: dict[str, Mutant] = {
     "the guard is not known to hold": Mutant(
         "V2", WEAKER, generate.assume_guard, "geofence",
         "context.learn(parts[-1])\n    context.fact(", "pass\n    str("),
+    # V21: commands
+    "nobody commands the fleet": Mutant(
+        "V21", UNSOUND, interface.Interface.with_commands, "a fleet that is commanded",
+        "if commands else self", "if False else self"),
+    "commands change nothing": Mutant(
+        "V21", UNSOUND, guarantees.of_others, "a fleet that is commanded",
+        '"@after"), interface.moved)', '"@after"), frozenset())'),
     # V3: environment
     "the environment does not move": Mutant(
         "V3", UNSOUND, state.HavockedState.of, "no bound on targets",

@@ -49,6 +49,17 @@ invariant Never: forall i in ID: not bad[i]
 
 # A mutant proves of each what a run breaks.
 WRONG: dict[str, str] = {
+    "a fleet that is commanded": """
+provides Motion:
+  actuators: int target = goal
+allwrite: int goal
+local: int seen
+Go:
+  pre: goal != seen
+  eff: seen = goal
+invariant Still: goal == 0
+invariant Same: forall i in ID: seen[i] == 0
+""",
     "a conjunction": """
 local:
   int a
@@ -677,6 +688,21 @@ invariant Sum: sum(x) == 0
 
 # What is proved of each, and a mutant proves less of it, or sees no contradiction.
 LESS: dict[str, tuple[str, set[str]]] = {
+    "a fleet before its first command": (
+        """
+provides Motion:
+  actuators: int target = goal
+allwrite:
+  int goal
+  bool begun
+Go:
+  pre: not begun
+  eff: atomic: begun = True
+invariant Any: goal <= 0 or goal >= 0
+invariant First: begun or not begun or goal == 0
+""",
+        {"Any", "First"},
+    ),
     "an init that ended": (
         """
 param int n = 1
