@@ -1,23 +1,144 @@
-"""Program of a trace: named by an option or found in the run's folder, and checked by its hash."""
+"""Programs of a trace: named by options or found in the run's folder, and checked by their hash."""
 
 from __future__ import annotations
 
 import json
 from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from koordgen.cli.base.building import params
 from koordgen.cli.base.console import USAGE, WRONG, Failure
 from koordgen.lang.ir.decl import Program
+from koordgen.lang.semantics.composition import Application, System
 
 SOURCE, PARAMS = "source", "params.json"  # paths in a run's folder; koordgen/build/bundle/plan.py writes them
 
 
-def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Program, Path | None]:
-    """Return the program of the trace at `trace`, and its file of extern functions or None.
+class TracedFleet(NamedTuple):
+    """Programs that the robots of a trace ran.
 
-    `program_hash`: the hash in the trace; "" for a trace that is a counterexample. Raises Rejected, Failure."""
+    `system`: the applications; of a fleet with one program, one application on all robots.
+    `functions`: the file of extern functions of each application, or None."""
+
+    system: System
+    functions: tuple[Path | None, ...]
+
+    @property
+    def is_composed(self) -> bool:
+        """Return whether the fleet has several applications."""
+        return len(self.system.applications) > 1
+
+
+def fleet_of(options: Namespace, trace: Path, header: Mapping[str, Any]) -> TracedFleet:
+    """Return the programs of the trace at `trace`, which begins with `header`. Raises Rejected, Failure."""
+    program_hash = str(header.get("program_hash", ""))
+    if not program_hash:
+        help = "counterexamples were run when they were found; `koordgen report` shows them"
+        raise Failure(WRONG, f"{trace} is a counterexample, not the trace of a run", help)
+    n_sys = len(header["robots"]) if "robots" in header else int(header["n_sys"])
+    if options.fleet is not None and _names_programs(options.fleet):
+        found = _of_fleet_file(options)
+    elif len(header.get("applications", ())) > 1 or "composition" in header:
+        found = _of_run(options, trace, header, n_sys)
+    else:
+        return _with_one_program(options, trace, program_hash, n_sys)
+    from koordgen.build.emit.system import system_hash
+
+    its = system_hash(found.system, [_content(file) for file in found.functions])
+    if its != program_hash:
+        what = options.fleet or f"the programs in the folder {SOURCE}/ beside it"
+        raise Failure(
+            WRONG, f"{trace} is the trace of programs with the hash {program_hash}, but {what} has {its}",
+            "fleet file, programs, params or extern functions have changed: name those of the run with --fleet",
+        )  # fmt: skip
+    return found
+
+
+def _names_programs(fleet: str) -> bool:
+    from koordgen.build.pipeline import read_source
+    from koordgen.fleet.applications import named_programs
+
+    return bool(named_programs(read_source(fleet)))
+
+
+def _content(file: Path | None) -> bytes:
+    return file.read_bytes() if file is not None and file.is_file() else b""
+
+
+def _only_for_one_program(options: Namespace) -> None:
+    """Refuse options that name parts of a single program. Raises Failure."""
+    for option, is_given in {
+        "--program": options.program is not None,
+        "--param": bool(options.param),
+        "--functions": options.functions is not None,
+    }.items():
+        if is_given:
+            help = "name the fleet file of the run with --fleet: it names the programs and their params"
+            raise Failure(USAGE, f"{option} is for a fleet with one program, and this trace has several", help)
+
+
+def _of_fleet_file(options: Namespace) -> TracedFleet:
+    from koordgen.build.bundle.functions import functions_file
+    from koordgen.build.emit.system import with_sizes
+    from koordgen.build.pipeline import check_system
+
+    _only_for_one_program(options)
+    checked = check_system(options.fleet)
+    system = with_sizes(checked.system)
+    parts = zip(system.applications, checked.parts, strict=True)
+    files = [functions_file(a.program, Path(part.source.path).parent, None) for a, part in parts]
+    return TracedFleet(system, tuple(files))
+
+
+def _of_run(options: Namespace, trace: Path, header: Mapping[str, Any], n_sys: int) -> TracedFleet:
+    """Return the programs in the folder of a run, connected as the header says."""
+    from koordgen.build.bundle.functions import functions_file
+    from koordgen.build.emit.system import with_sizes
+
+    _only_for_one_program(options)
+    folder = next((f for f in _folders(trace) if any((f / SOURCE).glob("*/*.koord"))), None)
+    if folder is None or "composition" not in header:
+        alone = f"{trace} is the trace of one robot"
+        what = alone if folder is not None else f"there is no folder {SOURCE}/ beside {trace}"
+        raise Failure(USAGE, f"{what}, and the fleet has several applications", "name the fleet file with --fleet")
+    try:
+        applications = tuple([_application(folder, part) for part in header["composition"]])
+        system = with_sizes(System(applications, n_sys))
+    except (LookupError, TypeError, ValueError, StopIteration) as error:
+        raise Failure(WRONG, f"{trace}: a broken header: {error!r}", "name the fleet file with --fleet") from None
+    files = [functions_file(a.program, folder / SOURCE / a.name, None) for a in applications]
+    return TracedFleet(system, tuple(files))
+
+
+def _application(folder: Path, part: Mapping[str, Any]) -> Application:
+    name = Path(str(part["name"])).name  # so that no header leads out of the run's folder
+    own = folder / SOURCE / name
+    programs = sorted(own.glob("*.koord"))
+    if len(programs) != 1:
+        raise Failure(USAGE, f"{own} does not contain one program", "name the fleet file of the run with --fleet")
+    program = _with_params(programs[0], _params_in(own))
+    return Application(name, program, tuple([int(member) for member in part["members"]]), _bindings(program, part))
+
+
+def _bindings(program: Program, part: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Return the bindings of a program's imports: the header names each variable with its application."""
+    stored = part["variables"]
+    return tuple([(i.name, str(stored[i.variables[0]]).partition(".")[0]) for i in program.imports if i.variables])
+
+
+def _with_params(place: Path, given: Mapping[str, Any]) -> Program:
+    from koordgen.build.pipeline import check_part
+    from koordgen.lang.analyze.params import BadParam, with_params
+
+    try:
+        return with_params(check_part(str(place)).program, given)
+    except BadParam as error:
+        raise Failure(USAGE, str(error)) from None
+
+
+def _with_one_program(options: Namespace, trace: Path, program_hash: str, n_sys: int) -> TracedFleet:
     from koordgen.build.bundle.functions import functions_file
     from koordgen.build.emit.program import program_hash as hashed
     from koordgen.build.pipeline import check_file, fleet_params
@@ -33,35 +154,35 @@ def program_of(options: Namespace, trace: Path, program_hash: str) -> tuple[Prog
         raise Failure(USAGE, str(error)) from None
     verify(program)
     functions = functions_file(program, place.parent, options.functions)
-    if not program_hash:
-        help = "counterexamples were run when they were found; `koordgen report` shows them"
-        raise Failure(WRONG, f"{trace} is a counterexample, not the trace of a run", help)
-    its = hashed(program, functions.read_bytes() if functions and functions.is_file() else b"")
+    its = hashed(program, _content(functions))
     if its != program_hash:
         raise Failure(
             WRONG, f"{trace} is the trace of a program with the hash {program_hash}, but {place} has {its}",
             "program, params or extern functions have changed: name those of the run with --program, --fleet, "
             "--param and --functions",
         )  # fmt: skip
-    return program, functions
+    return TracedFleet(System.alone(program, n_sys), (functions,))
+
+
+def _folders(trace: Path) -> Sequence[Path]:
+    """Return the folders that may be the run's folder: the trace's own folder, or one of two folders above it."""
+    return (trace.parent, *trace.absolute().parents[1:3])
 
 
 def _place(options: Namespace, trace: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the program's path, and values of its params.
-
-    Without --program, both are those in the run's folder: the trace's own folder, or one of two folders above it.
-    """
+    """Return the program's path, and values of its params. Without --program, both are those in the run's folder."""
     if options.program is not None:
         return Path(options.program), {}
-    for folder in (trace.parent, *trace.absolute().parents[1:3]):
+    for folder in _folders(trace):
         programs = sorted((folder / SOURCE).glob("*.koord"))
         if len(programs) == 1:
-            params = folder / SOURCE / PARAMS
-            try:
-                return programs[0], dict(json.loads(params.read_bytes())) if params.is_file() else {}
-            except ValueError as error:
-                raise Failure(WRONG, f"{params}: {error}") from None
-        if any((folder / SOURCE).glob("*/*.koord")):
-            help = "the run's verdicts are in its summary.txt; `koordgen show` and `koordgen export` read the trace"
-            raise Failure(USAGE, f"{trace} has several applications, which this command cannot run again yet", help)
+            return programs[0], _params_in(folder / SOURCE)
     raise Failure(USAGE, f"there is no folder {SOURCE}/ beside {trace}", "name the program with --program")
+
+
+def _params_in(folder: Path) -> dict[str, Any]:
+    path = folder / PARAMS
+    try:
+        return dict(json.loads(path.read_bytes())) if path.is_file() else {}
+    except ValueError as error:
+        raise Failure(WRONG, f"{path}: {error}") from None

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
 from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
-from koordgen.cli.base.traced import program_of
-from koordgen.lang.ir.decl import Program
+from koordgen.cli.base.traced import TracedFleet, fleet_of
+from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit import blame, clocks, faults, monitors
-from koordgen.verify.audit.history import FleetMission, mission
+from koordgen.verify.audit.blame import Blame
+from koordgen.verify.audit.fleet_state import AuditedFleet
+from koordgen.verify.audit.history import FleetMission, mission, of_application
 from koordgen.verify.audit.judge import PropertyJudge
 from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.audit.result import PropertyResult
-from koordgen.verify.audit.show import Audit, document, report
+from koordgen.verify.audit.show import Audit, document, fleet_document, note_lines, report
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
+from koordgen.verify.prove.report.composition import question_of
+from koordgen.verify.prove.report.verdict import Question
 from koordgen.verify.replay.functions import CannotCall
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -36,8 +41,8 @@ def audit(options: Namespace) -> int:
         paths = list(dict.fromkeys(path for given in options.traces for path in trace_files(Path(given))))
         logs = [read_trace_file(path) for path in paths]
         whole = mission(logs)
-        program, functions = program_of(options, whole.log.path, whole.log.program_hash)
-        judged, ended = _judged(program, functions, whole, options.seconds)
+        fleet = fleet_of(options, whole.log.path, whole.log.header)
+        audits = _audited(options, fleet, whole)
     except BadTrace as error:
         raise Failure(WRONG, str(error), "give traces of one mission of one fleet") from None
     except CannotCall as error:
@@ -48,33 +53,57 @@ def audit(options: Namespace) -> int:
             "values in these traces are nested too deeply",
             "use traces that robots wrote; they never nest values so deeply",
         ) from None
-    blames = [] if ended else blame.blames(program, judged)
-    proved = _proved(program, [each.invariant for each in blames]) if options.prove and blames else None
-    notes = [*([ended] if ended else []), *_notes(judged, whole)]
-    made = Audit(program.path, whole, judged, blames, notes, proved, bool(ended))
-    status = VIOLATED if made.violated else INCONCLUSIVE if made.doubtful else HOLDS
+    violated, doubtful = any(each.violated for each in audits), any(each.doubtful for each in audits)
+    status = VIOLATED if violated else INCONCLUSIVE if doubtful else HOLDS
+    notes = _notes_of_traces(whole) if fleet.is_composed else []
     if options.format == "json":
-        print(json.dumps(document(made, status), indent=2), flush=True)
+        made = fleet_document(audits, notes, status) if fleet.is_composed else document(audits[0], status)
+        print(json.dumps(made, indent=2), flush=True)
     else:
-        sys.stdout.write(coloured_verdicts(report(made), sys.stdout))
+        text = "\n".join([*map(report, audits), *(["\n".join(note_lines(notes)) + "\n"] if notes else [])])
+        sys.stdout.write(coloured_verdicts(text, sys.stdout))
         sys.stdout.flush()
     if options.plot:
-        _draw(made, Path(options.plot))
+        _draw(audits, Path(options.plot))
     return status
 
 
-def _judged(
-    program: Program, functions: Path | None, whole: FleetMission, seconds: float | None
-) -> tuple[list[PropertyResult], str]:
-    """Return the results of all properties, and the reason why the audit ended early; empty if it did not.
+def _audited(options: Namespace, fleet: TracedFleet, whole: FleetMission) -> list[Audit]:
+    """Return the audit of each application."""
+    system = fleet.system
+    missions = [of_application(whole, each) for each in system.applications] if fleet.is_composed else [whole]
+    audited, left = AuditedFleet(system, tuple(missions)), _left(options.seconds)
+    proofs: list[dict[str, str]] | None = None
+    found = []
+    for index, (application, mission_) in enumerate(zip(system.applications, missions, strict=True)):
+        judged, ended = _judged(fleet, audited, index, options.seconds, left())
+        question = _question(system, index)
+        blames = [] if ended else blame.blames(question, judged)
+        if options.prove and blames and proofs is None:
+            proofs = _proofs(system)
+        notes = [*([ended] if ended else []), *_notes(judged, mission_, fleet.is_composed)]
+        name = application.name if fleet.is_composed else ""
+        proved = _proved(proofs[index], blames) if proofs is not None and blames else None
+        found.append(Audit(application.program.path, mission_, judged, blames, notes, proved, bool(ended), name))
+    return found
 
-    `seconds`: time limit. If the time runs out within a round, this round counts only as the round of a violation."""
-    line, judge, reached, ended = (
-        ProgressLine(sys.stderr),
-        PropertyJudge(GeneratedProperties(program, functions), whole),
-        0,
-        "",
-    )
+
+def _left(seconds: float | None) -> Callable[[], float | None]:
+    """Return a function that returns the rest of a time limit in seconds; None if there is no limit."""
+    began = time.monotonic()
+    return lambda: None if seconds is None else max(1e-3, seconds - (time.monotonic() - began))
+
+
+def _judged(
+    fleet: TracedFleet, audited: AuditedFleet, index: int, limit: float | None, left: float | None
+) -> tuple[list[PropertyResult], str]:
+    """Return the results of an application's properties, and the reason why the audit ended early; empty if not.
+
+    `limit`: time limit of the command in seconds. `left`: the rest of it. If the time runs out within a round, this
+    round counts only as the round of a violation."""
+    program, whole = fleet.system.applications[index].program, audited.missions[index]
+    judge = PropertyJudge(GeneratedProperties(program, fleet.functions[index]), audited, index)
+    line, reached, ended = ProgressLine(sys.stderr), 0, ""
 
     def progress(round_: int, last: int) -> None:
         nonlocal reached
@@ -83,11 +112,11 @@ def _judged(
             line.show(f"round {round_} of {last}")
 
     try:
-        with alarm(seconds):
+        with alarm(left):
             judge.run(progress)
     except OutOfTime:
         ended = (
-            f"ended by --seconds {seconds:g} after {reached} of {whole.last} rounds: "
+            f"ended by --seconds {limit:g} after {reached} of {whole.last} rounds: "
             "the properties in later rounds are not decided"
         )
     finally:
@@ -95,28 +124,49 @@ def _judged(
     return [*judge.results, *faults.loops(program, whole), *faults.contracts(program, whole)], ended
 
 
-def _notes(judged: Sequence[PropertyResult], whole: FleetMission) -> list[str]:
+def _notes(judged: Sequence[PropertyResult], whole: FleetMission, is_part: bool) -> list[str]:
+    """Return the notes about an application. `is_part`: notes about the traces are for the fleet, not for each part."""
     late = faults.late(whole)
     overran = [f"{late} event{'s' * (late != 1)} were discarded because they took too long"] if late else []
-    return [*whole.notes, *clocks.notes(whole), *overran, *monitors.compare_monitors(judged, whole)]
+    return [*([] if is_part else _notes_of_traces(whole)), *overran, *monitors.compare_monitors(judged, whole)]
 
 
-def _proved(program: Program, violated: Sequence[PropertyResult]) -> dict[str, str]:
-    """Return the prover's verdicts on violated invariants, for the mission's params and any fleet size."""
-    from koordgen.verify.prove.report.verdict import Question, prove
+def _notes_of_traces(whole: FleetMission) -> list[str]:
+    return [*whole.notes, *clocks.notes(whole)]
+
+
+def _question(system: System, index: int) -> Question:
+    """Return the prover's question about an application, for the mission's params and any number of robots."""
+    given = {a.name: {p.name: p.default for p in a.program.params} for a in system.applications}
+    for imported in system.applications[index].program.imports:
+        given[system.applications[index].name].pop(imported.size)
+    return question_of(system, index, given)
+
+
+def _proofs(system: System) -> list[dict[str, str]]:
+    """Return the prover's verdicts on each application's invariants, for the mission's params and any fleet size."""
+    from koordgen.verify.prove.report.composition import prove_system
+    from koordgen.verify.prove.report.verdict import prove
     from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
-    question = Question(program, params={p.name: p.default for p in program.params})
     try:
         with solver_of("z3", Limits(query=QUERY, total=ALL_QUERIES)) as solver:
-            verdicts = prove(question, solver)
+            if len(system.applications) == 1:
+                return [{v.invariant: v.verdict for v in prove(_question(system, 0), solver)}]
+            params = {a.name: _question(system, i).params or {} for i, a in enumerate(system.applications)}
+            found = prove_system(system, solver, params)
     except SolverMissing as error:
         raise Failure(SURROUNDINGS, str(error), install("koordgen[prove]")) from None
-    names = {result.name for result in violated}
-    return {verdict.invariant: verdict.verdict for verdict in verdicts if verdict.invariant in names}
+    return [{v.invariant: v.verdict for v in part.verdicts} for part in found.applications]
 
 
-def _draw(made: Audit, path: Path) -> None:
+def _proved(verdicts: Mapping[str, str], blames: Sequence[Blame]) -> dict[str, str]:
+    """Return the verdicts on violated invariants."""
+    names = {each.invariant.name for each in blames}
+    return {name: verdict for name, verdict in verdicts.items() if name in names}
+
+
+def _draw(made: Sequence[Audit], path: Path) -> None:
     from koordgen.verify.audit.plot import draw
 
     try:

@@ -9,7 +9,7 @@ from typing import Any
 
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, notify
-from koordgen.cli.base.traced import program_of
+from koordgen.cli.base.traced import fleet_of
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.replay.fleet import replay_trace
@@ -29,8 +29,9 @@ def replay(options: Namespace) -> int:
     try:
         trace = open_trace(path)
         path = trace.path
-        program, functions = program_of(options, trace.path, trace.program_hash)
-        again = replay_trace(program, externs(program, functions), trace, counts)
+        fleet = fleet_of(options, trace.path, trace.header)
+        parts = zip(fleet.system.applications, fleet.functions, strict=True)
+        again = replay_trace(fleet.system, [externs(a.program, file) for a, file in parts], trace, counts)
         try:
             with alarm(options.seconds):
                 for difference in again:
@@ -67,7 +68,7 @@ def replay(options: Namespace) -> int:
     if ended:
         print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference found before")
         return INCONCLUSIVE
-    print(f"{path}: {what}: no differences from the program")
+    print(f"{path}: {what}: no differences from the program{'s' * fleet.is_composed}")
     return HOLDS
 
 
@@ -78,9 +79,10 @@ def _count(number: int, what: str) -> str:
 def _difference_text(found: Difference, trace: TraceParts) -> str:
     name = trace.robots[found.pid]
     when = f"round {found.round}" if found.round else "init"
+    whose = f", application {found.application}" if found.application else ""
     return (
-        f"{trace.place(found.number)}: {when}, robot {name}: {found.what} is {_shown(found.recorded)} in the trace, "
-        f"{_shown(found.computed)} by the program"
+        f"{trace.place(found.number)}: {when}, robot {name}{whose}: {found.what} is "
+        f"{_shown(found.recorded)} in the trace, {_shown(found.computed)} by the program"
     )
 
 

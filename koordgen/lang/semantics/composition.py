@@ -40,6 +40,11 @@ class System(Node):
     applications: tuple[Application, ...]
     robots: int
 
+    @classmethod
+    def alone(cls, program: Program, robots: int) -> System:
+        """Return the system of a fleet whose robots all run one program."""
+        return cls((Application(program.name, program, tuple(range(robots))),), robots)
+
     def instances(self) -> tuple[Instance, ...]:
         """Return all instances by their numbers."""
         return tuple(

@@ -7,30 +7,55 @@ Robots sample no sensors between these times.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
+from koordgen.lang.ir.ports import clears
+from koordgen.lang.semantics.composition import System
 from koordgen.runtime.program.program import Calls
 from koordgen.runtime.program.property import UNKNOWN
 from koordgen.verify.audit.history import FleetMission, RobotHistory
 from koordgen.verify.audit.properties import GeneratedProperties
-from koordgen.verify.replay.store import RecordedWrites, had_frame
+from koordgen.verify.replay.store import RecordedWrites, StoreKey, had_frame
+
+
+class AuditedFleet(NamedTuple):
+    """Applications of a fleet, each with the mission as its members recorded it. `missions`: by application."""
+
+    system: System
+    missions: tuple[FleetMission, ...]
+
+    def written(self, index: int) -> set[StoreKey]:
+        """Return the shared variables that an application can write."""
+        program = self.system.applications[index].program
+        own = {(index, variable.name) for variable in self.system.own(index)}
+        return own | {(self.system.owner(index, name), name) for each in program.imports for name in each.written}
 
 
 class FleetState:
-    """State of the fleet at one observation. `advance` and `end` move on to the next observation.
+    """State of the members of an application at one observation. `advance` and `end` move on to the next observation.
 
     `values`: name -> value, in the form that generated properties read. A local variable, a port and an allread
         variable have a list with one value for each pid; an allwrite variable has one value. Values that no trace
         records are UNKNOWN.
     `round`: the last round whose effects `values` contains; at first, the round before `mission.first`."""
 
-    def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
+    def __init__(self, meaning: GeneratedProperties, fleet: AuditedFleet, index: int) -> None:
+        mission, members = fleet.missions[index], fleet.system.applications[index].members
         histories = mission.histories
         self.round = mission.first - 1
         self.values: dict[str, Any] = {}
         self._meaning, self._histories = meaning, histories
-        self._clears = meaning.found.program.clears
+        # for each member, the histories of its robot in all applications, and the sensors that commands there clear
+        self._on_robot = [
+            [
+                (fleet.missions[other].histories[application.members.index(robot)], clears(application.program))
+                for other, application in enumerate(fleet.system.applications)
+                if robot in application.members
+            ]
+            for robot in members
+        ]
         program = meaning.program
         ports = [(f"{m.name}.{p.name}", p.direction) for m in program.modules for p in m.ports]
         self.sensors = [name for name, direction in ports if direction == "sensor"]
@@ -38,7 +63,7 @@ class FleetState:
         self._locals = [v.name for v in program.locals]
         # locals and actuators of each robot, also after the robot has stopped or was removed from the fleet
         self._own: list[dict[str, Any]] = [{} for _ in histories]
-        self._shared = _Shared(meaning, histories, mission.first)
+        self._shared = _Shared(meaning, fleet, index)
         if mission.first:
             names = [*self._locals, *self.sensors, *self._actuators, *(v.name for v in program.shared)]
             self.values = {name: [UNKNOWN] * len(histories) for name in names}
@@ -90,10 +115,7 @@ class FleetState:
         return {name: self._meaning.value(name, recorded.get(name, UNKNOWN)) for name in self.sensors}
 
     def record(self, pid: int, round_: int) -> Mapping[str, Any]:
-        history = self._histories[pid]
-        if round_ == 0:
-            return history.init or {}
-        return history.rounds[round_].record if round_ in history.rounds else {}
+        return _record(self._histories[pid], round_)
 
     def calls(self, pid: int) -> Calls | None:
         """Return a robot's port calls in the present round; None if an argument or answer is unknown."""
@@ -117,10 +139,11 @@ class FleetState:
         """Set each sensor to false that a command of robot `pid` in the present round clears.
 
         The sensors stay false until the robot samples them at the start of the next round."""
-        for name in self.record(pid, self.round).get("actuators", {}) if self.round else ():
-            for sensor in self._clears.get(name, ()):
-                if self.values[sensor][pid] is not UNKNOWN:
-                    self.values[sensor][pid] = False
+        for history, cleared in self._on_robot[pid]:
+            for name in _record(history, self.round).get("actuators", {}) if self.round else ():
+                for sensor in cleared.get(name, ()):
+                    if sensor in self.values and self.values[sensor][pid] is not UNKNOWN:
+                        self.values[sensor][pid] = False
 
     def _sample(self, round_: int) -> None:
         samples = [self.sampled(pid, round_) for pid in range(len(self._histories))]
@@ -128,56 +151,75 @@ class FleetState:
             self.values[name] = [sample[name] for sample in samples]
 
 
+def _record(history: RobotHistory, round_: int) -> Mapping[str, Any]:
+    if round_ == 0:
+        return history.init or {}
+    return history.rounds[round_].record if round_ in history.rounds else {}
+
+
 class _Shared:
-    """Values of the shared variables after each round.
+    """Values of the shared variables of one application's program after each round.
 
-    The values come from the copies that robots read at the start of the next round. Values that no copy contains are
-    computed from the recorded writes."""
+    The values come from the copies that robots read at the start of the next round, in any application. Values that no
+    copy contains are computed from the recorded writes."""
 
-    def __init__(self, meaning: GeneratedProperties, histories: list[RobotHistory], first: int) -> None:
-        self._meaning, self._histories = meaning, histories
-        self._writes = RecordedWrites(meaning.program, len(histories))
-        for history in histories:
+    def __init__(self, meaning: GeneratedProperties, fleet: AuditedFleet, index: int) -> None:
+        self._meaning, self._index = meaning, index
+        self._writes = RecordedWrites(fleet.system)
+        self._instances = [
+            _Instance(history, application, self._writes.keys(application), fleet.written(application))
+            for application, mission in enumerate(fleet.missions)
+            for history in mission.histories
+        ]
+        for each in self._instances:
+            history = each.history
             for record in [history.init or {}, *[line.record for line in history.rounds.values()]]:
-                self._writes.add_record(history.pid, record)
-        self._store: dict[str, Any] = dict(self._writes.first())
-        # copy of the shared variables of each robot; the copy of an allread variable is a dictionary by pid
-        self._copies: list[dict[str, Any]] = [{} for _ in histories]
-        # JSON values of the shared variables at the last conversion; `_values` holds the converted values
+                self._writes.add_record(each.application, history.pid, record)
+        self._store: dict[StoreKey, Any] = dict(self._writes.first())
+        # JSON values of the program's variables at the last conversion; `_values` holds the converted values
         self._converted: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
+        first = fleet.missions[index].first
         if first:  # earlier rounds are missing, so the values before the first recorded round are unknown
-            for history in histories:
-                self._lose(history.pid)
-                self._see(history, first)
+            for each in self._instances:
+                self._lose(each)
+                self._see(each, first)
 
     def after(self, round_: int) -> dict[str, Any]:
         """Return the values of the shared variables after a round. Call this for all rounds in order."""
         self._store = dict(self._writes.after(self._store, round_))
-        for history in self._histories:
-            if history.may_act(round_):
-                self._lose(history.pid)
-        for history in self._histories:
-            self._see(history, round_ + 1)
-        for name, recorded in self._store.items():
+        for each in self._instances:
+            if each.history.may_act(round_):
+                self._lose(each)
+        for each in self._instances:
+            self._see(each, round_ + 1)
+        for name, key in self._writes.keys(self._index).items():
+            recorded = self._store[key]
             if name not in self._converted or self._converted[name] != recorded:
-                slots = name in self._writes.slots
-                of = self._meaning.value
-                self._values[name] = [of(name, own) for own in recorded] if slots else of(name, recorded)
+                self._values[name] = self._value(name, key, recorded)
                 self._converted[name] = recorded
         return self._values
 
-    def _lose(self, pid: int) -> None:
-        """Set each slot and allwrite variable that robot `pid` can write to UNKNOWN."""
-        for name, held in self._store.items():
-            if name in self._writes.slots:
-                self._store[name] = [UNKNOWN if p == pid else own for p, own in enumerate(held)]
-            else:
-                self._store[name] = UNKNOWN
+    def _value(self, name: str, key: StoreKey, recorded: Any) -> Any:
+        of = self._meaning.value
+        if key not in self._writes.slots:
+            return of(name, recorded)
+        if key[0] == self._index:
+            return [of(name, own) for own in recorded]
+        return UNKNOWN if any(own is UNKNOWN for own in recorded) else of(name, recorded)  # an imported list
 
-    def _see(self, history: RobotHistory, round_: int) -> None:
-        """Update the shared variables with the copy that a robot read at the start of a round."""
-        copy = self._copies[history.pid]
+    def _lose(self, each: _Instance) -> None:
+        """Set each slot and allwrite variable that an instance can write to UNKNOWN."""
+        for key in each.written:
+            held = self._store[key]
+            if key in self._writes.slots:
+                self._store[key] = [UNKNOWN if p == each.history.pid else own for p, own in enumerate(held)]
+            else:
+                self._store[key] = UNKNOWN
+
+    def _see(self, each: _Instance, round_: int) -> None:
+        """Update the shared variables with the copy that an instance read at the start of a round."""
+        history, copy = each.history, each.copy
         if history.turns.get(round_, copy) is None:
             copy.clear()
         line = history.rounds.get(round_)
@@ -185,18 +227,35 @@ class _Shared:
             return
         recorded = line.record.get("copy", {})
         for name, held in recorded.items():
-            if name not in self._writes.slots:
+            key = each.keys.get(name)
+            if key not in self._writes.slots:
                 copy[name] = held
+            elif isinstance(held, list):  # an imported list has all slots
+                copy[name] = dict(enumerate(held))
             elif isinstance(held, dict):
                 copy.setdefault(name, {}).update(
                     {int(p): own for p, own in held.items() if p.isdecimal() and len(p) < 10}
                 )
-        for name, held in self._store.items():
-            if name in self._writes.slots:
+        for name, key in each.keys.items():
+            if key in self._writes.slots:
                 slots = copy.get(name, {})
-                self._store[name] = [slots.get(p, own) for p, own in enumerate(held)]
+                self._store[key] = [slots.get(p, own) for p, own in enumerate(self._store[key])]
             elif name in copy:
-                self._store[name] = copy[name]
+                self._store[key] = copy[name]
         for name, own in line.record.get("shared", {}).items():
-            if name in self._writes.slots:
+            if each.keys.get(name) in self._writes.slots:
                 copy.setdefault(name, {})[history.pid] = own
+
+
+@dataclass
+class _Instance:
+    """Instance of an application, with its copy of the shared variables.
+
+    `keys`: the shared variables of its program, by their names there. `written`: those that it can write.
+    `copy`: name -> value; the copy of an allread variable is a dictionary by pid."""
+
+    history: RobotHistory
+    application: int
+    keys: Mapping[str, StoreKey]
+    written: Collection[StoreKey]
+    copy: dict[str, Any] = field(default_factory=dict)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from koordgen.lang.semantics.composition import Application
 from koordgen.runtime.program.runner import LEFT
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit.trace_files import LOST, TraceFile
@@ -180,6 +181,23 @@ def mission(logs: Sequence[TraceFile]) -> FleetMission:
     cut = any(log.flaws for log in logs) or bool(missing) or any(history.lacks for history in histories)
     start, log = starts[0] if starts else None, logs[0]
     return FleetMission(chosen, log.app, log.delta, start, histories, notes, cut, log, log.step)
+
+
+def of_application(whole: FleetMission, application: Application) -> FleetMission:
+    """Return the mission of one of several applications: its histories are those of its members, by their pids there.
+
+    `whole`: the mission of the fleet, whose histories have the records of all applications."""
+    name, histories = application.name, list[RobotHistory]()
+    for pid, robot in enumerate(application.members):
+        of_robot = whole.histories[robot]
+        lives = [
+            replace(life, lines=[line for line in life.lines if line.record.get("application", name) == name])
+            for life in of_robot.lives
+        ]
+        history = RobotHistory(pid, of_robot.name, lives, away=of_robot.away)
+        _build_rounds(history)
+        histories.append(history)
+    return replace(whole, histories=histories, notes=[])
 
 
 def _by_age(logs: Sequence[TraceFile]) -> list[TraceFile]:

@@ -18,8 +18,7 @@ from koordgen.runtime.program.property import (
     Unknown,
     judged,
 )
-from koordgen.verify.audit.fleet_state import FleetState
-from koordgen.verify.audit.history import FleetMission
+from koordgen.verify.audit.fleet_state import AuditedFleet, FleetState
 from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.audit.result import (
     AFTER,
@@ -70,12 +69,13 @@ def evaluated(holds: Callable[[Known], bool], known: Known) -> _Evaluation:
 
 
 class PropertyJudge:
-    """Judge of the properties of one mission.
+    """Judge of the properties of one application in a mission. `index`: the application.
 
     `results`: first the results of properties in the order of the program, then of assumptions, then of properties that
         cannot be checked."""
 
-    def __init__(self, meaning: GeneratedProperties, mission: FleetMission) -> None:
+    def __init__(self, meaning: GeneratedProperties, fleet: AuditedFleet, index: int) -> None:
+        mission = fleet.missions[index]
         self._meaning, self._mission = meaning, mission
         found = self._found = meaning.found
         n = self._n = len(mission.histories)
@@ -87,7 +87,7 @@ class PropertyJudge:
             for result in self.results:
                 result.unchecked = _ANY if result.of == "initially" else result.unchecked
         self._known, self._step = found.fleet(n, None), found.step(n, None)
-        self._whole = FleetState(meaning, mission)
+        self._whole = FleetState(meaning, fleet, index)
         # Values at the previous observation.
         self._before: dict[str, Any] = {}
         # Outcomes in the present round, one list for each of `results`.

@@ -46,7 +46,8 @@ class GeneratedProperties:
                 raise CannotCall(f"{missing}, the file with the extern functions, does not exist")
             load(program, functions)
         # Python looks up the annotations of record classes in this module
-        module = sys.modules["audited"] = ModuleType("audited")
+        name = f"audited_{functions_module(program)}"
+        module = sys.modules[name] = ModuleType(name)
         self._scope: dict[str, Any] = vars(module)
         self._scope["__file__"] = "program.py"
         exec(compile(program_text(program), "program.py", "exec"), self._scope)

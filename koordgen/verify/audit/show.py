@@ -20,7 +20,7 @@ PROVED = "PROVED"
 
 @dataclass(frozen=True, slots=True)
 class Audit:
-    """Finished audit of a mission.
+    """Finished audit of a mission, or of one of several applications in it.
 
     `proved`: name of an invariant -> verdict of `koordgen prove`; None if the prover did not run.
     `ended`: whether a time limit ended the audit before the last round."""
@@ -32,6 +32,7 @@ class Audit:
     notes: Sequence[str]
     proved: Mapping[str, str] | None = None
     ended: bool = False
+    application: str = ""  # name of the application; "": the fleet has one program
 
     @property
     def violated(self) -> bool:
@@ -53,19 +54,21 @@ def report(audit: Audit) -> str:
     rounds = f"{mission.last} round{'s' * (mission.last != 1)}"
     if mission.first:
         rounds += f", unknown before round {mission.first}"
-    lines = [f"{audit.program}, {robots} of {len(mission.histories)} robots, {rounds}", ""]
+    name = f"{audit.application}: " if audit.application else ""
+    lines = [f"{name}{audit.program}, {robots} of {len(mission.histories)} robots, {rounds}", ""]
     lines += _table(audit.results)
     for result in audit.results:
         lines += _details(result, audit)
     if audit.notes:
-        lines += ["", "notes:"]
-        told = [
-            *audit.notes[:MOST_NOTES],
-            *([f"and {len(audit.notes) - MOST_NOTES} more"] * (len(audit.notes) > MOST_NOTES)),
-        ]
-        for note in told:
-            lines += textwrap.wrap(note, WIDTH, initial_indent="  - ", subsequent_indent="    ", break_on_hyphens=False)
+        lines += ["", *note_lines(audit.notes)]
     return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+
+
+def note_lines(notes: Sequence[str]) -> Iterator[str]:
+    yield "notes:"
+    more = [f"and {len(notes) - MOST_NOTES} more"] * (len(notes) > MOST_NOTES)
+    for note in (*notes[:MOST_NOTES], *more):
+        yield from textwrap.wrap(note, WIDTH, initial_indent="  - ", subsequent_indent="    ", break_on_hyphens=False)
 
 
 def _table(results: Sequence[PropertyResult]) -> Iterator[str]:
@@ -152,6 +155,8 @@ def sentence(blame: Blame, audit: Audit) -> str:
     name = blame.invariant.name
     said = None if audit.proved is None else audit.proved.get(name, "nothing")
     uncovered = _uncovered(blame, audit.mission)
+    if blame.guarantees:
+        uncovered += f"; the proof also rests on {', '.join(blame.guarantees)}, which other applications must keep"
     if blame.broke:
         told = [_broke(result, audit.mission) for _, result in blame.broke]
         verb = "rests" if said == PROVED else "would rest"
@@ -190,6 +195,12 @@ def _broke(result: PropertyResult, mission: FleetMission) -> str:
     assert first is not None
     robots = f" by robot {', '.join(first.robots)}" if first.robots else ""
     return f"`{result.title}` (line {result.line}), which broke at {when(first, mission)}{robots}"
+
+
+def fleet_document(audits: Sequence[Audit], notes: Sequence[str], status: int) -> dict[str, Any]:
+    """Return the result of a fleet with several applications. `notes`: those about the traces of all applications."""
+    parts = [{"application": audit.application, **document(audit, status)} for audit in audits]
+    return {"status": status, "notes": list(notes), "applications": parts}
 
 
 def document(audit: Audit, status: int) -> dict[str, Any]:

@@ -57,6 +57,7 @@ class TraceFile:
     last: dict[int, int] = field(default_factory=dict)
     # whether the run replayed a counterexample of a single step, which may begin in an unreachable state
     step: bool = False
+    header: Mapping[str, Any] = field(default_factory=dict)
     lines: list[TraceLine] = field(default_factory=list)
     upgrade: Upgrade = field(default_factory=Upgrade)
     flaws: list[TraceFlaw] = field(default_factory=list)
@@ -126,7 +127,17 @@ def _log(path: Path, header: Mapping[str, Any]) -> TraceFile:
     base, part = base_of(path)
     family, age = (base, next(iter(names))) if own else (path, -1), math.inf if part is None else part
     return TraceFile(
-        path, app, program_hash, delta, n_sys, names, own, family, age, step=header.get("followed") == "step"
+        path,
+        app,
+        program_hash,
+        delta,
+        n_sys,
+        names,
+        own,
+        family,
+        age,
+        step=header.get("followed") == "step",
+        header=header,
     )
 
 

@@ -1,29 +1,35 @@
-"""Replay of a whole trace, robot by robot.
+"""Replay of a whole trace, instance by instance.
 
 If the trace contains all robots of the fleet, the replay also compares the shared store.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from koordgen.lang.ir import decl
+from koordgen.lang.semantics.composition import System
 from koordgen.verify.replay.robot import Counts, Difference, Replay, Unreplayable
 from koordgen.verify.replay.store import RecordedWrites, Shown
 from koordgen.verify.replay.trace import TraceLine, TraceParts
 from koordgen.verify.replay.values import plain
 
+Externs = Mapping[str, Callable[..., Any]]  # extern function -> how the semantics calls it
 
-def replay_trace(
-    program: decl.Program, externs: Mapping[str, Callable[..., Any]], trace: TraceParts, counts: Counts
-) -> Iterator[Difference]:
-    """Yield every difference between trace and program, in the trace's order.
 
-    Raises BadTrace or Unreplayable."""
-    n_sys = len(trace.robots)
-    robots = [Replay(program, externs, pid, n_sys, counts, trace.followed) for pid in range(n_sys)]
-    stores = None if trace.own else Stores(program, n_sys, trace)
+def replay_trace(system: System, externs: Sequence[Externs], trace: TraceParts, counts: Counts) -> Iterator[Difference]:
+    """Yield every difference between trace and programs, in the trace's order.
+
+    `externs`: the extern functions of each application. Raises BadTrace or Unreplayable."""
+    instances = Instances(system, trace)
+    replays = [
+        Replay(
+            system.applications[i.application].program, externs[i.application], i.pid,
+            len(system.applications[i.application].members), counts, trace.followed,
+        )
+        for i in system.instances()
+    ]  # fmt: skip
+    stores = None if trace.own else Stores(system, instances, trace)
     views: dict[int, tuple[int, Any]] = {}
     last = 0
     for line in trace.lines():
@@ -32,17 +38,18 @@ def replay_trace(
             continue
         if line.record["kind"] == "init":
             views.clear()  # the views known so far belong to an earlier mission
-        robot = robots[line.pid]
+        number = instances.of(line)
+        replay = replays[number]
         # The previous part of the trace ends in the middle of a record, so records are missing between the parts.
         if trace.cut and line.record["kind"] == "checkpoint":
-            robot.skip()
-        yield from robot.line(line)
-        if robot.saw is not None and stores is not None:
-            yield from stores.compared(line, robot.saw)
+            replay.skip()
+        yield from instances.named(number, replay.line(line))
+        if replay.saw is not None and stores is not None:
+            yield from instances.named(number, stores.compared(number, line, replay.saw))
         last = line.number
     if not trace.cut:
-        for robot in robots:
-            yield from robot.end(last)
+        for number, replay in enumerate(replays):
+            yield from instances.named(number, replay.end(last))
 
 
 def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
@@ -59,49 +66,80 @@ def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Differ
         yield Difference(line.number, since, line.pid, f"view {number}", *texts)
 
 
+class Instances:
+    """Instances of a fleet in the records of a trace: a record names its robot and its application."""
+
+    def __init__(self, system: System, trace: TraceParts) -> None:
+        self.all = system.instances()
+        self._names = [application.name for application in system.applications]
+        self._is_composed = len(self._names) > 1
+        self._numbers = {(i.robot, self._names[i.application]): number for number, i in enumerate(self.all)}
+        self._robots = trace.robots
+
+    def of(self, line: TraceLine) -> int:
+        """Return the number of the instance that a record is about. Raises Unreplayable."""
+        # the only application need not be named
+        name = str(line.record.get("application", "")) if self._is_composed else self._names[0]
+        number = self._numbers.get((line.pid, name))
+        if number is None:
+            robot = self._robots[line.pid] or f"the robot with pid {line.pid}"
+            raise Unreplayable(line.number, f"{robot} runs no application {name!r} in the fleet")
+        return number
+
+    def named(self, number: int, differences: Iterator[Difference]) -> Iterator[Difference]:
+        """Yield the differences of an instance with its robot and, if there are several, its application."""
+        instance = self.all[number]
+        name = self._names[instance.application] if self._is_composed else ""
+        for each in differences:
+            yield each._replace(pid=instance.robot, application=name)
+
+
 class Stores:
     """Shared store after each round, computed from the writes that all robots recorded.
 
-    The writes of commits are applied first, then the writes of plain events by ascending pid. A robot whose process
+    The writes of commits are applied first, then the writes of plain events, both by instance. A robot whose process
     ended may have written without a record. So the store is unknown from that round on."""
 
-    def __init__(self, program: decl.Program, n_sys: int, trace: TraceParts) -> None:
-        self._writes = RecordedWrites(program, n_sys)
-        ends = dict.fromkeys(range(n_sys), 0)
-        acted = dict.fromkeys(range(n_sys), 0)  # pid -> last round in which the robot recorded an event
+    def __init__(self, system: System, instances: Instances, trace: TraceParts) -> None:
+        self._instances = instances.all
+        self._writes = RecordedWrites(system)
+        ends = dict.fromkeys(range(len(self._instances)), 0)
+        acted = dict(ends)  # instance -> last round in which the robot recorded an event of it
         until = float("inf")
         for line in trace.lines():
             record = line.record
             if record["kind"] in ("stream", "view"):
                 continue
-            round_ = int(record.get("round", 0))
+            number, round_ = instances.of(line), int(record.get("round", 0))
             restored = record.get("restored")
-            if restored and restored["round"] != acted[line.pid]:
+            if restored and restored["round"] != acted[number]:
                 until = min(until, restored["round"] - 1)
             if record.get("event") is not None and not record.get("fault"):
-                acted[line.pid] = round_
-            ends[line.pid] = max(ends[line.pid], round_)
-            self._writes.add_record(line.pid, record)
+                acted[number] = round_
+            ends[number] = max(ends[number], round_)
+            instance = self._instances[number]
+            self._writes.add_record(instance.application, instance.pid, record)
         self._until = min(until, min(ends.values()))
         self._known: dict[int, Shown] = {
             0: self._writes.after(self._writes.first(), 0)
         }  # round -> shared store after this round
 
-    def compared(self, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
-        """Compare a robot's copy of the store at a round's start with the store after the previous round."""
-        round_ = int(line.record["round"])
+    def compared(self, number: int, line: TraceLine, copy: Mapping[str, Any]) -> Iterator[Difference]:
+        """Compare an instance's copy of the store at a round's start with the store after the previous round."""
+        round_, application = int(line.record["round"]), self._instances[number].application
         if round_ - 1 > self._until:
             return
         store = self._of(round_ - 1)
-        for name, computed in store.items():
-            if name in self._writes.slots:
+        for name, key in self._writes.keys(application).items():
+            computed, found = store[key], copy[name]
+            if key in self._writes.slots and isinstance(found, dict):
                 for pid, own in enumerate(computed):
-                    if plain(copy[name][pid]) != own:
+                    if plain(found[pid]) != own:
                         yield Difference(
-                            line.number, round_, line.pid, f"copy of {name}[{pid}]", plain(copy[name][pid]), own
+                            line.number, round_, line.pid, f"copy of {name}[{pid}]", plain(found[pid]), own
                         )
-            elif plain(copy[name]) != computed:
-                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(copy[name]), computed)
+            elif plain(found) != computed:
+                yield Difference(line.number, round_, line.pid, f"copy of {name}", plain(found), computed)
 
     def _of(self, round_: int) -> Shown:
         latest = max(self._known)

@@ -32,7 +32,8 @@ def externs(program: decl.Program, file: Path | None) -> Mapping[str, Callable[.
     load(program, file)
     names = Names(program)
     # Python resolves the annotations of record classes in this module.
-    module = sys.modules["replayed"] = ModuleType("replayed")
+    name = f"replayed_{functions_module(program)}"
+    module = sys.modules[name] = ModuleType(name)
     vars(module)["__file__"] = "program.py"
     exec(compile(program_text(program), "program.py", "exec"), vars(module))
     return {f.name: _called(f, vars(module), names) for f in program.externs}

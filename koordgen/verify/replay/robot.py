@@ -27,6 +27,8 @@ class Difference(NamedTuple):
     """Difference between trace and program.
 
     `number`: the line of the trace.
+    `pid`: the robot, by its pid in the fleet.
+    `application`: the application, if the fleet has several.
     `recorded`: the value in the trace.
     `computed`: the value that the semantics computes."""
 
@@ -36,6 +38,7 @@ class Difference(NamedTuple):
     what: str
     recorded: Any
     computed: Any
+    application: str = ""
 
 
 class Unreplayable(Exception):
@@ -56,8 +59,9 @@ class Counts:
 
 @dataclass
 class Replay:
-    """Replay of one robot.
+    """Replay of one robot, or of one application on a robot that runs several.
 
+    `pid`, `n_sys`: the robot's pid in the application, and the number of the application's members.
     `externs`: the extern functions, as in `World`.
     `followed`: "run" or "step" if the traced run executed a counterexample; otherwise empty. In such a run, a robot may
         run any enabled event or no event. For "step", the record of `init` contains the first state of the

@@ -5,38 +5,56 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from koordgen.lang.ir import decl
+from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.step import initial
 from koordgen.runtime.program.runner import NO_EVENT
 from koordgen.verify.replay.values import plain
 
-# Store in JSON: name of a shared variable -> value; for an allread variable, a list with one value per pid.
-Shown = Mapping[str, Any]
+StoreKey = tuple[int, str]  # index of the application that declares a shared variable, and the variable's name there
+# Store in JSON: shared variable -> value; for an allread variable, a list with one value per pid of its application.
+Shown = Mapping[StoreKey, Any]
 
 
 class RecordedWrites:
     """Recorded writes of each round.
 
-    The writes are applied in the same order as on robots: first commits, then plain events by ascending pid."""
+    The writes are applied in the same order as on robots: first commits, then plain events, both by instance.
 
-    def __init__(self, program: decl.Program, n_sys: int) -> None:
-        self.slots = {v.name for v in program.shared if v.kind == "allread"}
-        self._locks = {event.name: event.lock is not None for event in program.events}
-        self._recorded: dict[int, list[tuple[bool, int, dict[str, Any]]]] = {}
-        self._initial = initial(program, n_sys).store
+    `slots`: the allread variables."""
 
-    def add_record(self, pid: int, record: Mapping[str, Any]) -> None:
-        """Add the writes of one record (of a round, or of `init`) of a robot."""
+    def __init__(self, system: System) -> None:
+        self._system = system
+        every = list(enumerate(system.applications))
+        self._locks = [{event.name: event.lock is not None for event in a.program.events} for _, a in every]
+        self._numbers = {(i.application, i.pid): number for number, i in enumerate(system.instances())}
+        self._recorded: dict[int, list[tuple[bool, int, int, int, dict[str, Any]]]] = {}
+        self._keys = [{v.name: (system.owner(index, v.name), v.name) for v in a.program.shared} for index, a in every]
+        self._initial: dict[StoreKey, Any] = {}
+        self.slots: set[StoreKey] = set()
+        for index, application in every:
+            store = initial(application.program, len(application.members)).store
+            for variable in system.own(index):
+                key = index, variable.name
+                if variable.kind == "allread":
+                    self.slots.add(key)
+                    self._initial[key] = [plain(value) for value in store.slots[variable.name]]
+                else:
+                    self._initial[key] = plain(store.cells[variable.name])
+
+    def keys(self, application: int) -> Mapping[str, StoreKey]:
+        """Return the shared variables of an application's program, by their names there."""
+        return self._keys[application]
+
+    def add_record(self, application: int, pid: int, record: Mapping[str, Any]) -> None:
+        """Add the writes of one record (of a round, or of `init`) of an instance. `pid`: its pid in the application."""
         if record.get("shared"):
-            plain_event = not self._locks.get(record.get("event") or "", False)
-            self._recorded.setdefault(int(record.get("round", 0)), []).append((plain_event, pid, record["shared"]))
+            plain_event = not self._locks[application].get(record.get("event") or "", False)
+            write = plain_event, self._numbers[application, pid], application, pid, record["shared"]
+            self._recorded.setdefault(int(record.get("round", 0)), []).append(write)
 
     def first(self) -> Shown:
         """Return the initial store, before any `init` has run."""
-        return {
-            **{n: [plain(v) for v in held] for n, held in self._initial.slots.items()},
-            **{n: plain(v) for n, v in self._initial.cells.items()},
-        }
+        return self._initial
 
     def after(self, store: Shown, round_: int) -> Shown:
         """Return the store after a round, computed from the store after the previous round.
@@ -46,10 +64,13 @@ class RecordedWrites:
         if not writes:
             return store
         found = dict(store)
-        for _, pid, shared in sorted(writes, key=lambda w: w[:2]):
+        for _, _, application, pid, shared in sorted(writes, key=lambda w: w[:2]):
             for name, value in shared.items():
-                found[name] = (
-                    [value if p == pid else own for p, own in enumerate(found[name])] if name in self.slots else value
+                key = self._keys[application].get(name)
+                if key is None:
+                    continue  # no variable of the program, as in a damaged trace
+                found[key] = (
+                    [value if p == pid else own for p, own in enumerate(found[key])] if key in self.slots else value
                 )
         return found
 

@@ -35,6 +35,7 @@ class TraceParts:
     """Trace in one or several parts.
 
     `path`: the last part.
+    `header`: the header of the last part.
     `older`: the earlier parts, the oldest part first.
     `robots`: the robots' names by pid. A robot whose name is not in the header has an empty name.
     `own`: whether the trace belongs to the robot `pid` alone.
@@ -52,6 +53,7 @@ class TraceParts:
     followed: str = ""
     older: tuple[Path, ...] = ()
     since: int = 0
+    header: dict[str, Any] = field(default_factory=dict)
     # (number of lines before the part, file of the part) of each part
     begins: list[tuple[int, Path]] = field(default_factory=list)
 
@@ -102,12 +104,14 @@ def open_trace(path: Path) -> TraceParts:
             names = tuple(str(robot["name"]) for robot in header["robots"])
             if not 1 <= len(names) <= MOST_ROBOTS:
                 raise ValueError(f"{len(names)} robots")
-            return TraceParts(path, app, program_hash, names, False, 0, followed=followed)
+            return TraceParts(path, app, program_hash, names, False, 0, followed=followed, header=header)
         n, pid = int(header["n_sys"]), int(header["pid"])
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
             raise ValueError(f"pid {pid} in a fleet of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
-        return TraceParts(path, app, program_hash, names, True, pid, followed=followed, older=tuple(older))
+        return TraceParts(
+            path, app, program_hash, names, True, pid, followed=followed, older=tuple(older), header=header
+        )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadTrace(f"{path}:{number}: a broken header: {error!r}") from None
 
