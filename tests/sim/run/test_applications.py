@@ -197,6 +197,15 @@ def test_options_of_one_program_are_refused(
 
 
 @pytest.mark.slow
+def test_a_campaign_counts_the_violations_of_an_application(tmp_path: Path) -> None:
+    out = str(tmp_path / "campaign")
+    options = ["--vary", "seed=1:2", "--lockstep", "--duration", "3", "--quiet", "--out", out]
+    assert main(["campaign", fleet(tmp_path, "alice, bert"), *options]) == 3
+    found = json.loads((tmp_path / "campaign" / "campaign.json").read_text())
+    assert found["violated"] == 2 and "invariant cars.Few" in found["reasons"][0]["why"]
+
+
+@pytest.mark.slow
 def test_agents_of_several_applications_run_as_processes(tmp_path: Path) -> None:
     file = fleet(tmp_path, "alice, bert")
     out = tmp_path / "run"
