@@ -14,12 +14,14 @@ import pytest
 
 from benchmarks.fixtures.deployed import place
 from benchmarks.fixtures.ssh_hosts import SshFleet, ssh_fleet
-from koordgen import cli
+from koordgen import __version__, cli
 from koordgen.operate.collect import SOURCE_FILE
+from koordgen.operate.doctor import NoBundle, robots_bundle
 from koordgen.operate.run_folder import write_source
 from targets.sim.trace.files import read
 from tests.sim.run.test_applications import CARS, QUADS
 
+VERSION = f'__version__ = "{__version__}"'
 FLEET = """\
 delta: 0.1
 origin: {{latitude: 47.397742, longitude: 8.545594, altitude: 488.0}}
@@ -82,6 +84,20 @@ def test_the_facts_of_a_merged_trace_are_those_of_the_release_that_wrote_it(tmp_
     assert write_source(tmp_path, releases, "old") == expected
     assert (tmp_path / "source/cars/cars.koord").read_text() == "old"
     assert write_source(tmp_path, [], "old") == expected and write_source(tmp_path, [], "other") is None
+
+
+def test_a_robots_bundle_with_several_programs_is_found(tmp_path: Path) -> None:
+    for path in ("fleet/alice", "fleet/sim/agents/alice", "fleet/sim"):
+        (tmp_path / path / "koordgen/runtime").mkdir(parents=True)
+        for name, text in (("__main__.py", ""), ("applications.py", ""), ("koordgen/__init__.py", VERSION)):
+            (tmp_path / path / name).write_text(text)
+    assert robots_bundle(str(tmp_path / "fleet/alice")) == tmp_path / "fleet/alice"
+    with pytest.raises(NoBundle) as found:
+        robots_bundle(str(tmp_path / "fleet"))
+    assert "name one of alice" in found.value.help
+    with pytest.raises(NoBundle) as found:
+        robots_bundle(str(tmp_path / "fleet/sim"))
+    assert "the robots that it runs: " in found.value.help and "agents/alice" in found.value.help
 
 
 @pytest.mark.parametrize("name", ["source/../x.koord", "../x.koord", "source/cars/../x", ".x.koord", "a/b/c"])

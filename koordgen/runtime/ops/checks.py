@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
-from koordgen.runtime.ops.host import host, install_requirements
+from koordgen.runtime.ops.host import files, host, install_requirements, is_bundled
 from koordgen.runtime.vehicle.platform import Finding
 
 OK, WRONG, SURROUNDINGS = 0, 1, 5
@@ -85,6 +85,9 @@ def report_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> in
     """Print the error of a bundle that cannot be imported. Return the exit status.
 
     If `argv` contains `--doctor`, also print the results of all checks that need no import."""
+    if is_bundled(root, error.name or "") and files(root).state == "fail":
+        form: Form = "json" if "json" in argv or "--format=json" in argv else "text"
+        return print_checks(root.name, host(root), form) if "--doctor" in argv else print_briefly([files(root)])
     install = install_requirements(root)
     what = f"the Python package {error.name!r} is missing or does not load: {error}"
     found = [*host(root), Finding("import", "fail", what, why=install)]

@@ -39,6 +39,18 @@ def test_lines_and_rounds_of_overlapping_reports_are_told_once() -> None:
     assert fleet.taken(10.3) == {}
 
 
+def test_outcomes_of_all_applications_of_a_round_are_told_once() -> None:
+    fleet, both = rows(), [{"name": "map", "members": 2}, {"name": "task", "stopped": True, "event": "End"}]
+    runs = [[1, 2, "event", "map: Go", [2.0, 3.0]], [1, 1, "skipped", "task: no event", [2.0]]]
+    fleet.add_report(0, report(outcomes=runs, applications=both), "", 10.0)
+    runs = [[1, 2, "event", "map: Go", [2.0, 3.0]], [1, 2, "skipped", "task: no event", [2.0, 3.0]]]
+    fleet.add_report(0, report(outcomes=runs, applications=both), "", 10.1)
+    told = [row[5] for row in fleet.taken(10.2)["rounds"]]
+    assert told == ["map: Go", "task: no event", "map: Go", "task: no event"]
+    map_, task = fleet.table()[0]["applications"]
+    assert (map_.name, map_.stopped, task.stopped, task.event) == ("map", False, True, "End")
+
+
 def test_lines_that_came_too_fast_are_counted() -> None:
     fleet = rows()
     fleet.add_report(0, report(lines=[[1, 0.0, 0, "info", "a"]]), "", 1.0)
