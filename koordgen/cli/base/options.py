@@ -354,9 +354,11 @@ def campaign(command: Parser) -> None:
 
 def validate(command: Parser) -> None:
     """Options of `koordgen validate`."""
-    _program(command)
+    _program_or_fleet(command)
     runs = command.add_argument_group("runs")
-    _fleet(runs, "the fleet file (YAML)", required=True)
+    _fleet(runs, _FLEET_OF_PROGRAM)
+    application = "the application whose assumptions to test, if several of a fleet file have assumptions"
+    runs.add_argument("--application", metavar="NAME", help=application)
     samples = "number of runs, each from another start (default: as many as --epsilon and --gamma need)"
     runs.add_argument("--samples", metavar="N", type=values.count, help=samples)
     epsilon = "VALIDATED means: a run violates an assumption with a probability below E (default: 0.05)"
@@ -377,7 +379,11 @@ def validate(command: Parser) -> None:
     where.add_argument("--jobs", metavar="J", type=values.count, help=jobs)
     where.add_argument("--cluster", metavar="ADDRESS", help="the Dask scheduler that distributes the runs")
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder for runs, table and picture (default: validate-APP)")
+    output.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for runs, table and picture (default: validate-APP, or validate-FLEET-NAME)",
+    )
     _quiet(output)
     _format(output)
 
