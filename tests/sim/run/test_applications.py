@@ -181,7 +181,9 @@ def test_a_missing_functions_file_is_reported_in_its_program(
     file = fleet(tmp_path)
     (tmp_path / "quads.koord").write_text("extern fun twice(int n) -> int\n" + QUADS.replace("= done", "= twice(done)"))
     assert main(["build", file, "-o", str(tmp_path / "build")]) == 1
-    assert "quads_functions.py" in capsys.readouterr().err and not (tmp_path / "build").exists()
+    said = capsys.readouterr().err
+    assert "quads_functions.py" in said and not (tmp_path / "build").exists()
+    assert "help: write it in the folder of " in said and "--functions" not in said
 
 
 @pytest.mark.parametrize(
