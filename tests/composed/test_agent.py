@@ -69,7 +69,7 @@ def test_the_status_names_each_application_with_its_last_event_and_faults() -> N
     assert first["name"] == "first" and not first["stopped"] and first["round"] >= 6 and not first["event"]
     assert "ZeroDivisionError" in first["fault"] and first["counts"]["faults"] >= 6
     assert second["stopped"] and (second["event"], second["event_round"]) == ("Go", 3) and second["fault"] == ""
-    assert (second["pid"], second["members"]) == (0, 2) and second["counts"].get("faults", 0) == 0
+    assert (second["pid"], second["members"]) == (0, (0, 1)) and second["counts"].get("faults", 0) == 0
 
 
 def test_the_status_of_a_robot_with_one_application_does_not_name_it() -> None:

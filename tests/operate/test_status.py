@@ -75,7 +75,7 @@ def test_every_robot_has_its_line(
 
 def test_applications_of_all_robots_are_one_table() -> None:
     """One robot runs two applications, one of which holds after a fault."""
-    plain = {"pid": 0, "members": 2, "stopped": False, "round": 9, "event": "", "event_round": 0, "fault": ""}
+    plain = {"pid": 0, "members": [0, 3], "stopped": False, "round": 9, "event": "", "event_round": 0, "fault": ""}
     task = {"name": "task", **plain, "fault": "task.koord:3: division by zero", "counts": {"faults": 2}}
     map_ = {"name": "map", **plain, "stopped": True, "event": "End", "event_round": 7, "counts": {}}
     head, *lines, empty = applications_table([("alice", {"applications": [map_, task]}), ("bert", {})])

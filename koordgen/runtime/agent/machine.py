@@ -186,7 +186,7 @@ class Agent:
     def _applications(self) -> list[dict[str, Any]]:
         """Return the state of each instance for the status report.
 
-        pid, members: its place among the robots that run the application, and their number.
+        pid: its place among `members`, the robots that run the application.
         stopped: its program has stopped.
         counts: its number of faults and of lost contentions, as far as there are any.
         Further keys: see ApplicationResult.
@@ -196,7 +196,7 @@ class Agent:
             {
                 "name": instance.application,
                 "pid": number.pid,
-                "members": len(self._fleet.applications[number.application].members),
+                "members": self._fleet.applications[number.application].members,
                 "stopped": instance.stopped,
                 **msgspec.structs.asdict(recent.of(instance.application)),
                 "counts": dict(instance.counts),

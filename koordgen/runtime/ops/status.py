@@ -120,7 +120,7 @@ def applications_table(reports: Sequence[tuple[str, Mapping[str, Any]]]) -> list
         (
             name,
             each["name"],
-            f"{each['pid']} of {each['members']}",
+            f"{each['pid']} of {len(each['members'])}",
             str(each["round"]),
             _last_event(each),
             *_state(each),

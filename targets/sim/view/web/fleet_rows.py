@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from koordgen.runtime.trace.schema import (
+    ApplicationRecord,
     EventFault,
     Header,
     LogLine,
@@ -75,7 +76,7 @@ class ReportedApplication(msgspec.Struct, frozen=True):
 
     name: str
     pid: Count = 0
-    members: Count = 0
+    members: tuple[Count, ...] = ()
     stopped: bool = False
     round: Count = 0
     event: str = ""
@@ -143,7 +144,22 @@ def completed(header: Header, report: Report) -> Header:
         changes["delta"] = report.delta
     if header.geofence is None and report.geofence is not None:
         changes["geofence"] = report.geofence
+    composition = _composition(header, report, (*header.shared, *more))
+    if composition and composition != header.composition:
+        changes |= {"composition": composition, "applications": tuple([each.name for each in composition])}
     return msgspec.structs.replace(header, **changes) if changes else header
+
+
+def _composition(header: Header, report: Report, shared: tuple[SharedVariable, ...]) -> tuple[ApplicationRecord, ...]:
+    """Return the applications of the robots that have reported so far; empty if the fleet has only one."""
+    known = () if isinstance(header.composition, msgspec.UnsetType) else header.composition
+    members = {each.name: each.members for each in known} | {each.name: each.members for each in report.applications}
+
+    def own(name: str) -> dict[str, str]:
+        prefix = f"{name}."
+        return {v.name.removeprefix(prefix): v.name for v in shared if v.name.startswith(prefix)}
+
+    return tuple([ApplicationRecord(name, robots, own(name)) for name, robots in members.items()])
 
 
 @dataclass

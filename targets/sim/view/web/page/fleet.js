@@ -64,7 +64,7 @@ function applicationsTable() {
     const row = make("tr", undefined, isSilent(robot) ? { class: "silent" } : {}), name = make("td", undefined, { class: "p" });
     name.append(swatch(pid), phrase(model.robots[pid].name));
     const event = each.event ? `${each.event} (round ${each.event_round})` : "none yet", faults = each.counts.faults || 0;
-    const cells = [[each.name, "p"], [`${each.pid} of ${each.members}`, "n"], [String(each.round), "n"], [event, "p"],
+    const cells = [[each.name, "p"], [`${each.pid} of ${each.members.length}`, "n"], [String(each.round), "n"], [event, "p"],
       [String(faults), faults ? "warn n" : "n"], applicationState(each)];
     row.append(name, ...cells.map(([words, kind]) => make("td", words, kind ? { class: kind } : {})));
     return row;
@@ -171,7 +171,7 @@ function holdToStop(button) {
   button.oncontextmenu = (event) => event.preventDefault(); // a long touch
 }
 
-document.querySelector(".views").after($("fleet"), $("said"));
+document.querySelector(".views").after($("fleet"), $("parts"), $("said"));
 source.addEventListener("fleet", hearFleet);
 source.addEventListener("stopped", (event) => { const { robots, by } = JSON.parse(event.data); stopTold(robots, by); });
 setInterval(() => fleet && showFleet(), 250);
