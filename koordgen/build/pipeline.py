@@ -210,8 +210,12 @@ def _beside(
     drivers: Mapping[str, DriverClass],
     targets: tuple[Target, ...],
     functions: str | None,
+    is_named: bool = False,
 ) -> tuple[dict[str, Path], list[Diagnostic]]:
-    """Return the user's Python files by their paths in a bundle, and diagnostics about these files."""
+    """Return the user's Python files by their paths in a bundle, and diagnostics about these files.
+
+    `is_named`: see check_functions.
+    """
     from pathlib import Path
 
     from koordgen.build.bundle.functions import check_functions, functions_file
@@ -219,7 +223,7 @@ def _beside(
 
     folder = Path(path).parent
     file = functions_file(program, folder, functions)
-    wrong = check_functions(program, file)
+    wrong = check_functions(program, file, is_named)
     own = {f"{functions_module(program)}.py": file} if file else {}
     if fleet_path is not None and drivers:
         from koordgen.build.bundle.drivers import check_drivers, driver_files
@@ -363,7 +367,7 @@ def plan_fleet_file(
         own_targets = tuple(targets[name] for name in sorted({fleet.robots[r].target for r in settings.members}))
         path = part.source.path
         own, missing = _beside(
-            application.program, path, fleet_path, _own_drivers(application, fleet), own_targets, None
+            application.program, path, fleet_path, _own_drivers(application, fleet), own_targets, None, is_named=True
         )
         own |= _own_classes(path, fleet_path, fleet, targets)
         found += [(part.source, d) for d in missing]

@@ -15,6 +15,7 @@ from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.node import Node
 from koordgen.lang.source import Source, Span
 
+MOST_INSTANCES = 1024  # an application on a robot is one; as in koordgen/runtime/net/wire.py (a test compares both)
 # The name becomes a part of the names of Python modules in a bundle.
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _BAD_NAME = "write a lower-case letter, then lower-case letters, digits or _, at most 32 characters"
@@ -77,6 +78,7 @@ def read_applications(
             reader.report("F006", message, _value(entry, "name") or entry, "give it another name")
     if node is not None and found:
         _check_robots(reader, node, found, entries, robots)
+        _check_instances(reader, found, entries)
     return tuple(found)
 
 
@@ -132,6 +134,18 @@ def _members(reader: YamlReader, node: YamlNode | None, what: str, robots: Seque
         else:
             places.add(robots.index(name))
     return tuple(sorted(places))
+
+
+def _check_instances(reader: YamlReader, found: Sequence[ApplicationSettings], entries: Sequence[YamlNode]) -> None:
+    """Report the application with which the fleet has too many instances."""
+    total = 0
+    for application, entry in zip(found, entries, strict=True):
+        total += len(application.members)
+        if total > MOST_INSTANCES:
+            message = f"with application {application.name}, the robots run {total} instances of applications"
+            help = "give robots fewer applications with `robots`, or put two applications into one program"
+            reader.report("F005", f"{message}; at most {MOST_INSTANCES} are possible", entry, help)
+            return
 
 
 def _check_robots(

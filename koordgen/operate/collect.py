@@ -12,6 +12,7 @@ import asyncio
 import fcntl
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -29,6 +30,8 @@ MARKER = ".koord-collect"  # file with the state for later collections; a simula
 LOG = "log.txt"
 PART = ".part"
 AT_ONCE = 1 << 20  # largest number of bytes that one request fetches
+# path of a file in a bundle that belongs to the source of a program: names become local paths
+SOURCE_FILE = re.compile(r"(source/([a-z][a-z0-9_]*/)?)?[^/.][^/]*")
 OVERLAP = 512  # bytes at a local file's end, fetched again to check that the host's file continues the local file
 
 
@@ -119,7 +122,7 @@ class Collection(Node):
 
     robots: files of each robot.
     missed: reason why a robot's files were not collected.
-    programs: for each release that a host still has, newest first: the files of its program, by name.
+    programs: for each release that a host still has, newest first: the files of its programs, by path.
     """
 
     robots: dict[str, Collected]
@@ -155,14 +158,14 @@ async def collect_all(sessions: Sessions, into: CollectionFolder, progress: Call
 async def _programs(session: SshSession, robot: str) -> list[dict[str, bytes]]:
     """Return the program files of each release on the host, which are needed to replay a trace.
 
-    The files are the program, its params and its extern functions.
+    The files are the program, its params and its extern functions; of several applications those of each.
     """
     deployment = (await session.call("inspect"))["deployment"]
     found = []
     for release in dict.fromkeys([deployment["confirmed"], *reversed(deployment["history"])]):
         if release is not None:
             files = (await session.call("source", id=release, robot=robot))["files"]
-            found.append({str(name): str(text).encode() for name, text in files.items() if "/" not in name})
+            found.append({name: str(text).encode() for name, text in files.items() if SOURCE_FILE.fullmatch(name)})
     return found
 
 

@@ -28,14 +28,14 @@ class NoBundle(CannotExamine):
 def robots_bundle(path: str) -> Path:
     """Return the folder of one robot's bundle. Raises NoBundle."""
     folder = Path(path)
-    build = "`koordgen build APP.koord --target ... --fleet FILE` writes a folder for each robot"
+    build = "`koordgen build fleet.yaml`, or `koordgen build APP.koord --fleet FILE`, writes a folder for each robot"
     if not folder.is_dir():
         raise NoBundle(f"{path}: no such folder", build)
     if not (folder / "__main__.py").is_file() or not (folder / "koordgen/runtime").is_dir():
-        inside = sorted(p.parent.name for p in folder.glob("*/program.py"))
+        inside = sorted(p.name for p in folder.iterdir() if _is_robots(p))
         raise NoBundle(f"{path}: not a bundle", f"name one of {', '.join(inside)} in it" if inside else build)
-    if not (folder / "program.py").is_file():
-        agents = ", ".join(sorted(str(p.parent) for p in folder.glob("agents/*/program.py")))
+    if not _is_robots(folder):
+        agents = ", ".join(sorted(str(p) for p in folder.glob("agents/*") if _is_robots(p)))
         help = f"the robots that it runs: {agents}" if agents else build
         raise NoBundle(f"{path}: this bundle runs a whole fleet on this computer, so it is not a robot's bundle", help)
     version = _version(folder)
@@ -43,6 +43,12 @@ def robots_bundle(path: str) -> Path:
         help = f"build the bundle again, or run its own check: {sys.executable} {path} --doctor"
         raise NoBundle(f"{path}: the bundle was made by koordgen {version}, and this is koordgen {__version__}", help)
     return folder
+
+
+def _is_robots(folder: Path) -> bool:
+    """Return whether a folder has one robot's program, or those of its applications."""
+    programs = any((folder / name).is_file() for name in ("program.py", "applications.py"))
+    return programs and not (folder / "agents").is_dir()
 
 
 def _version(folder: Path) -> str:

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.build.bundle.functions import functions_file
-from koordgen.build.bundle.plan import PARAMS, SOURCE, store_facts
+from koordgen.build.bundle.plan import COMPOSITION, PARAMS, SOURCE, store_facts
 from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import Rejected, check_file
 from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
-from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
 from koordgen.verify.audit.history import FleetMission, mission
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
@@ -33,33 +32,37 @@ def flown(folder: Path) -> FleetMission:
     return mission([read_trace_file(path) for path in trace_files(folder / ROBOTS)])
 
 
-def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> Program | None:
-    """Write the program with the hash `wanted` into a run folder's `source/`, and return it.
+def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> dict[str, Any] | None:
+    """Write the program with the hash `wanted` into a run folder's `source/`, and return what a trace says of it.
 
     Raises OSError.
 
     folder: the run folder. If its `source/` holds the wanted program already, nothing is written.
-    programs: candidates, each as its files by name.
-    Returns None if no candidate has the hash.
+    programs: candidates, each as its files by path. Several applications are one candidate.
+    Returns the entries of the header of a merged trace; None if no candidate has the hash.
     """
     source, made = folder / SOURCE, folder / f".{SOURCE}"
-    if (program := _fitting(source, wanted)) is not None:
-        return program
+    if (facts := _fitting(source, wanted)) is not None:
+        return facts
     for files in programs:
         shutil.rmtree(made, ignore_errors=True)
         made.mkdir()
         for name, data in files.items():
-            (made / name).write_bytes(data)
-        if (program := _fitting(made, wanted)) is not None:
+            path = made / name.removeprefix(f"{SOURCE}/")
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(data)
+        if (facts := _fitting(made, wanted)) is not None:
             shutil.rmtree(source, ignore_errors=True)
             made.rename(source)
-            return program
+            return facts
     shutil.rmtree(made, ignore_errors=True)
     return None
 
 
-def _fitting(source: Path, wanted: str) -> Program | None:
-    """Return the program in a folder `source/` if it has the hash `wanted`."""
+def _fitting(source: Path, wanted: str) -> dict[str, Any] | None:
+    """Return what a trace says of the program in a folder `source/` if it has the hash `wanted`."""
+    if (source / COMPOSITION).is_file():
+        return _composition(source / COMPOSITION, wanted)
     programs = sorted(source.glob("*.koord"))
     if len(programs) != 1:
         return None
@@ -71,12 +74,26 @@ def _fitting(source: Path, wanted: str) -> Program | None:
         return None
     functions = functions_file(program, source, None)
     its = program_hash(program, functions.read_bytes() if functions and functions.is_file() else b"")
-    return program if its == wanted else None
+    return store_facts(program) if its == wanted else None
 
 
-def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Fleet) -> None:
+def _composition(path: Path, wanted: str) -> dict[str, Any] | None:
+    """Return what a trace says of several applications if they have the hash `wanted`."""
+    try:
+        found = json.loads(path.read_bytes())
+        names = [each["name"] for each in found["applications"]]
+        if found["program_hash"] != wanted:
+            return None
+        stored = {name: found[name] for name in ("shared", "records")}
+        return {**stored, "applications": names, "composition": found["applications"]}
+    except (ValueError, LookupError, TypeError):  # the file is damaged
+        return None
+
+
+def write_trace(folder: Path, whole: FleetMission, facts: Mapping[str, Any], fleet: Fleet) -> None:
     """Write the merged trace of a mission into its run folder.
 
+    facts: entries of the header about the program; see write_source.
     An existing trace is replaced only after the new one is complete. Raises BadTrace if the traces are of another
     fleet; OSError.
     """
@@ -87,7 +104,7 @@ def write_trace(folder: Path, whole: FleetMission, program: Program, fleet: Flee
     if flew != names:
         raise BadTrace(f"the traces are of the robots {', '.join(flew)}, but the fleet file lists {', '.join(names)}")
     end = whole.last * whole.delta
-    header = _header(whole, program, fleet, end)
+    header = _header(whole, facts, fleet, end)
     made = folder / f".{TRACE}"
     merge(made, header, [_files(whole, pid) for pid in range(len(names))], end)
     made.replace(folder / TRACE)
@@ -98,7 +115,7 @@ def _files(whole: FleetMission, pid: int) -> Sequence[Path]:
     return list(dict.fromkeys(life.log.path for life in whole.histories[pid].lives if life.has_rounds))
 
 
-def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> dict[str, Any]:
+def _header(whole: FleetMission, facts: Mapping[str, Any], fleet: Fleet, end: float) -> dict[str, Any]:
     return {
         "kind": "header",
         "format": FORMAT,
@@ -113,5 +130,5 @@ def _header(whole: FleetMission, program: Program, fleet: Fleet, end: float) -> 
         "geofence": [fleet.geofence["lo"], fleet.geofence["hi"]],
         "obstacles": fleet.obstacles,
         "world": fleet.world.facts,
-        **store_facts(program),
+        **facts,
     }

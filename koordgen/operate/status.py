@@ -20,7 +20,7 @@ from koordgen.lang.node import Node, replace
 from koordgen.operate.estop import Place, StoppableFleet
 from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
-from koordgen.runtime.ops.status import StatusRequest
+from koordgen.runtime.ops.status import StatusRequest, applications_table
 
 ANSWER_TIMEOUT = 2.0  # longest wait for the answers in seconds; all robots are asked in parallel
 _REPEAT = 0.05  # seconds between two requests to one robot
@@ -170,10 +170,15 @@ def to_json(answers: Sequence[StatusAnswer]) -> str:
 
 
 def table(answers: Sequence[StatusAnswer]) -> str:
-    """Return a table with a line for each robot, and a last line for robots with a different release."""
+    """Return a table with a line for each robot, and a last line for robots with a different release.
+
+    A second table shows the applications of the robots, if they have several.
+    """
     rows = [_COLUMNS, *(_row(a) for a in answers)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
     lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    of_robots = applications_table([(a.place.name, a.report) for a in answers if a.report is not None])
+    lines += ["", *of_robots[:-1]] if of_robots else []
     if odd := odd_releases(answers):
         named = ", ".join(f"{name} ({release[:8] or 'none'})" for name, release in odd.items())
         lines.append(f"robots whose release differs from most: {named}; a mission needs one release on all robots")

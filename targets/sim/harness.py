@@ -65,8 +65,7 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         scenario = replace(scenario, harness={**scenario.harness, "engine": choose(scenario.engine)})
         plan = _plan(scenario, options)
         _require(scenario, placed=plan is not None)
-        if options.windows and scenario.applications:
-            raise BadScenario("--windows needs a fleet with one application")
+        _check_windows(scenario, options.windows)
         schedule, told = _schedule(scenario, options)
         if options.check:
             return _check(root, scenario)
@@ -134,7 +133,8 @@ def _parser(root: Path, argv: list[str]) -> argparse.ArgumentParser:
         )
     later = "no report and no pictures; `koordgen report` and `export` create them later"
     parser.add_argument("--no-report", action="store_true", help=later)
-    parser.add_argument("--windows", action="store_true", help="record every window of every robot in windows.jsonl")
+    windows = "record every window of every robot in windows.jsonl, of this application if the fleet has several"
+    parser.add_argument("--windows", nargs="?", const="", metavar="APPLICATION", help=windows)
     parser.add_argument("--gui", action="store_true", help="show PyBullet's window (MuJoCo has none: see --live)")
     parser.add_argument("--check", action="store_true", help="check the bundle and its packages; run nothing")
     parser.add_argument("--invoked-as", metavar="TEXT", help="the command to name in the report, if not this one")
@@ -239,6 +239,15 @@ def _schedule(scenario: Scenario, options: argparse.Namespace) -> tuple[Schedule
     faults.check_robots(found, scenario.robots)
     faults.check_obstacles(found, len(scenario.obstacles))
     return faults.with_network(found, vars(options)), told
+
+
+def _check_windows(scenario: Scenario, application: str | None) -> None:
+    """Check the value of --windows: "" for the only application, None for no windows. Raises BadScenario."""
+    names = [each.name for each in scenario.applications]
+    if application is not None and application not in (names or [""]):
+        hint = f"name one of {', '.join(names)}" if names else "give --windows without a name"
+        wrong = f"no application {application!r}" if application else "several applications have windows"
+        raise BadScenario(f"--windows: {wrong}", hint)
 
 
 def _check(root: Path, scenario: Scenario) -> int:
@@ -348,8 +357,12 @@ def _made(
 
     robots = tuple(robot.name for robot in scenario.robots)
     applications = watch.load_fleet(root, len(robots), [served for served, _, _ in scenario.drivers])
-    windows = Windows(applications[0].properties, scenario, options.seed) if options.windows else None
-    watchers = [watch.Watcher(a.properties, robots, scenario.delta, windows, a) for a in applications]
+    windows, of = None, next((a for a in applications if a.name == options.windows), None)
+    if of is not None:
+        windows = Windows(of.properties, scenario, options.seed, of.members)
+    watchers = [
+        watch.Watcher(a.properties, robots, scenario.delta, windows if a is of else None, a) for a in applications
+    ]
     shutil.copytree(root / SOURCE, folder / SOURCE)
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)

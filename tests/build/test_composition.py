@@ -82,6 +82,20 @@ def test_programs_members_and_params_become_a_system(tmp_path: Path) -> None:
     assert system.instances() == (Instance(0, 0, 1), Instance(1, 0, 0), Instance(1, 1, 1))
 
 
+def test_a_fleet_has_at_most_1024_instances(tmp_path: Path) -> None:
+    (tmp_path / "a.koord").write_text("local: int k\nGo:\n  pre: k < 1\n  eff: k = 1\n")
+    text = f"{QUAD_AND_CAR.partition('robots:')[0]}robots:\n"
+    text += "".join(f"  - {{name: r{k}, target: quad, address: '127.0.0.1:{20000 + k}'}}\n" for k in range(128))
+    lines = [f"  - {{name: a{k}, program: a.koord}}\n" for k in range(8)]
+    (tmp_path / "fleet.yaml").write_text(text + "applications:\n" + "".join(lines))
+    assert len(check_system(str(tmp_path / "fleet.yaml")).system.instances()) == 1024
+    lines += ["  - {name: more, program: a.koord, robots: [r7]}\n"]
+    (tmp_path / "fleet.yaml").write_text(text + "applications:\n" + "".join(lines))
+    (error,) = errors(str(tmp_path / "fleet.yaml"))
+    assert error.startswith(f"fleet.yaml:{text.count(chr(10)) + 10}: F005 with application more, the robots run 1025")
+    assert "at most 1024" in error and "give robots fewer applications" in error
+
+
 def test_one_program_may_be_two_applications(tmp_path: Path) -> None:
     task = TASK.replace("Mapping", "Other")
     entries = """\

@@ -62,6 +62,21 @@ def test_a_discarded_event_holds_its_application_alone() -> None:
     assert "second: faults" not in robot.agent.counters()
 
 
+def test_the_status_names_each_application_with_its_last_event_and_faults() -> None:
+    stops = "first", "k = 1 // (k - 1)", ""
+    fleet = flown(fleet_program(system(counts(*stops), counts("b", "if k > 2:\n      stop", DRIVES))), 8)
+    first, second = fleet.robots[0].agent.snapshot(0.0)["applications"]
+    assert first["name"] == "first" and not first["stopped"] and first["round"] >= 6 and not first["event"]
+    assert "ZeroDivisionError" in first["fault"] and first["counts"]["faults"] >= 6
+    assert second["stopped"] and (second["event"], second["event_round"]) == ("Go", 3) and second["fault"] == ""
+    assert (second["pid"], second["members"]) == (0, (0, 1)) and second["counts"].get("faults", 0) == 0
+
+
+def test_the_status_of_a_robot_with_one_application_does_not_name_it() -> None:
+    fleet = flown(fleet_program(system(counts("a", head=DRIVES))), 3)
+    assert "applications" not in fleet.robots[0].agent.snapshot(0.0)
+
+
 def test_the_vehicle_holds_if_the_application_that_commands_it_fails() -> None:
     fleet = flown(fleet_program(system(counts("a"), counts("b", "k = 1 // (k - 1)", DRIVES))), 8)
     assert fleet.robots[0].platform.held and values(fleet, "k")[0] >= 6

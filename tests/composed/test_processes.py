@@ -10,8 +10,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from koordgen.build.emit.program import program_text
+from koordgen.build.emit.program import program_hash, program_text
 from koordgen.build.emit.system import applications_text, module_of, with_sizes
+from koordgen.runtime.ops.status import applications_table
 from tests.composed.test_agreement import contending
 from tests.runtime.agent.test_process import bundles, rounds, started
 
@@ -53,6 +54,10 @@ def test_processes_run_several_applications_and_one_rejoins(
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     report = json.loads(status.stdout)
+    assert [each["name"] for each in report["applications"]] == ["first", "second", "third"]
+    assert all(each["event"] == "Add" for each in report["applications"])
+    shown = applications_table([("alice", report)])
+    assert [line.split()[1] for line in shown[1:-1]] == ["first", "second", "third"]
     assert "first: lost_contention" in report["counters"] and report["shared"][0][0] == "first.n"
     before = {name: adds(bundles[1], name)[-1] for name in ("first", "second", "third")}
     processes[1].kill()
@@ -65,3 +70,20 @@ def test_processes_run_several_applications_and_one_rejoins(
         restored = [r["restored"] for r in rounds(bundles[1]) if r["application"] == name and "restored" in r]
         assert restored[0]["round"] >= last["round"] and restored[0]["locals"]["k"] >= last["locals"]["k"]
         assert again["locals"]["k"] == restored[0]["locals"]["k"] + 1, "each application goes on where it was"
+
+
+def test_a_program_of_another_build_is_refused_and_nothing_runs(
+    bundles: list[Path], started: list[subprocess.Popen[str]]
+) -> None:
+    system, folder = with_sizes(contending()), bundles[0]
+    (folder / "applications.py").write_text(applications_text(system))
+    for application in system.applications:
+        text = program_text(application.program)
+        if application.name == "second":
+            hash_ = program_hash(application.program)
+            text = text.replace(hash_, "0" * 16)
+        (folder / f"program_{module_of(application)}.py").write_text(text)
+    process = start(folder, started)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 1 and "the bundle has files of two builds: the program of second has" in said
+    assert not (folder / "trace.jsonl").exists()

@@ -161,11 +161,13 @@ def test_the_bundle_compiles_for_python_3_10(target: manifest.Target) -> None:
 
 def test_robots_limit_is_the_wires() -> None:
     from koordgen.cli.base import values
+    from koordgen.fleet.applications import MOST_INSTANCES
     from koordgen.lang.ir import types
-    from koordgen.runtime.net.wire import MAX_ROBOTS
+    from koordgen.runtime.net.wire import MAX_INSTANCES, MAX_ROBOTS
     from koordgen.verify.follow import read
 
     assert types.MOST_ROBOTS == values.MOST_ROBOTS == read.MOST_ROBOTS == MAX_ROBOTS
+    assert MOST_INSTANCES == MAX_INSTANCES
 
 
 @agents_by_name

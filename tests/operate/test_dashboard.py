@@ -125,6 +125,23 @@ def test_the_page_shows_every_robot_and_stops_them_when_the_button_is_held(tmp_p
         assert not browser.complaints
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_the_page_has_a_row_for_each_application_if_there_are_several(tmp_path: Path) -> None:
+    with StandIns(tmp_path, 2) as fleet, command(fleet.fleet) as url, Browser(tmp_path / "profile") as browser:
+        opened(browser, url)
+        assert browser.value("$('parts').hidden")
+        map_ = {"name": "map", "pid": 0, "members": [0], "stopped": True, "event": "End", "event_round": 7}
+        task = {"name": "task", "pid": 1, "members": [1, 0], "fault": "task.koord:3: late", "counts": {"faults": 2}}
+        fleet.robots[0].changes["applications"] = [map_ | {"round": 9, "fault": "", "counts": {}}, task]
+        text = browser.wait("$('applications').innerText", lambda text: "task" in text)
+        assert [line.split("\t") for line in text.splitlines()] == [
+            ["robot00", "map", "0 of 1", "9", "End (round 7)", "0", "stopped"],
+            ["robot00", "task", "1 of 2", "0", "none yet", "2", "holds: task.koord:3: late"],
+        ]
+        assert not browser.value("$('parts').hidden") and not browser.complaints
+
+
 def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: Path) -> None:
     assert EVERY + WITHIN + TICK < 1.0, "seconds from a report until the next one is shown, at most"
     with StandIns(tmp_path, 20) as fleet:

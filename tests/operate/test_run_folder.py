@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from koordgen import cli
+from koordgen.build.bundle.plan import store_facts
 from koordgen.build.pipeline import check_file, read_fleet
 from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import with_params
@@ -85,7 +86,7 @@ def _later(line: bytes, seconds: float) -> bytes:
 
 def merged(folder: Path) -> list[dict[str, Any]]:
     whole = flown(folder)
-    write_trace(folder, whole, program_of(folder), fleet_of(folder))
+    write_trace(folder, whole, store_facts(program_of(folder)), fleet_of(folder))
     return [json.loads(line) for line in (folder / "trace.jsonl").read_bytes().splitlines()]
 
 
@@ -133,7 +134,7 @@ def test_all_readers_take_the_folder(folder: Path, capsys: pytest.CaptureFixture
 def test_traces_of_another_fleet_are_refused(folder: Path) -> None:
     fleet = fleet_of(folder, ("alice", "bert", "dora"))
     with pytest.raises(BadTrace, match=r"of the robots alice, bert, cleo, but the fleet file lists alice, bert, dora"):
-        write_trace(folder, flown(folder), program_of(folder), fleet)
+        write_trace(folder, flown(folder), store_facts(program_of(folder)), fleet)
     assert not (folder / "trace.jsonl").exists()
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.fixtures.fleet import NAMES
 from koordgen.cli import main
+from koordgen.runtime.ops.status import applications_table
 from tests.runtime.agent.test_process import bundles, start, started
 
 __all__ = ["bundles", "started"]  # fixtures
@@ -70,6 +71,20 @@ def test_every_robot_has_its_line(
     last = capsys.readouterr()
     assert "bert" in last.out and "no agent runs at this address" in last.out
     assert "no answer from bert" in last.err and "alice" not in last.err
+
+
+def test_applications_of_all_robots_are_one_table() -> None:
+    """One robot runs two applications, one of which holds after a fault."""
+    plain = {"pid": 0, "members": [0, 3], "stopped": False, "round": 9, "event": "", "event_round": 0, "fault": ""}
+    task = {"name": "task", **plain, "fault": "task.koord:3: division by zero", "counts": {"faults": 2}}
+    map_ = {"name": "map", **plain, "stopped": True, "event": "End", "event_round": 7, "counts": {}}
+    head, *lines, empty = applications_table([("alice", {"applications": [map_, task]}), ("bert", {})])
+    assert head.split() == ["robot", "application", "pid", "round", "last", "event", "faults", "state"]
+    assert [line.split() for line in lines] == [
+        ["alice", "map", "0", "of", "2", "9", "End", "(round", "7)", "0", "stopped"],
+        ["alice", "task", "0", "of", "2", "9", "none", "yet", "2", "holds:", "task.koord:3:", "division", "by", "zero"],
+    ]  # fmt: skip
+    assert empty == "" and applications_table([("bert", {})]) == []
 
 
 def test_a_robot_of_another_release_is_named(

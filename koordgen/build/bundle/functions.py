@@ -22,14 +22,18 @@ def functions_file(program: Program, folder: Path, given: str | None) -> Path | 
     return Path(given) if given else folder / f"{functions_module(program)}.py"
 
 
-def check_functions(program: Program, file: Path | None) -> list[Diagnostic]:
-    """Return a diagnostic for each extern function or type that is missing in the file or does not fit."""
+def check_functions(program: Program, file: Path | None, is_named: bool = False) -> list[Diagnostic]:
+    """Return a diagnostic for each extern function or type that is missing in the file or does not fit.
+
+    `is_named`: a fleet file names the program, so the command line cannot name another functions file.
+    """
     if file is None:
         return []
     needs: tuple[ExternFunction | ExternTypeDef, ...] = (*program.externs, *program.extern_types)
     first = min(needs, key=lambda need: need.span.line).span
     if not file.is_file():
-        help = f"write it in the folder of {program.path}, or name another file with --functions"
+        help = f"write it in the folder of {program.path}"
+        help += "" if is_named else ", or name another file with --functions"
         return [_wrong(f"there is no file {file}, which should have the extern functions", first, help)]
     from koordgen.build.bundle.probe import NotImportable, look
 

@@ -29,6 +29,7 @@ RELEASE, RELEASE_SIZE = "RELEASE", 16  # bytes of the digest that names a releas
 ZENOH = "eclipse-zenoh>=1.10"
 # Folder with the source, and file with the params, of every bundle and every run. A replay of traces needs both.
 SOURCE, PARAMS = "source", "params.json"
+COMPOSITION = "composition.json"  # in SOURCE, only with several applications: facts for the header of a run's trace
 
 
 class Ingredients(Node):

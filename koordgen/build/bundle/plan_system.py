@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from koordgen import __version__
 from koordgen.build.bundle.plan import (
+    COMPOSITION,
     PARAMS,
     RELEASE,
     SOURCE,
@@ -208,7 +209,11 @@ def _hashes(these: SystemIngredients) -> tuple[str, str]:
 def _programs(these: SystemIngredients) -> Files:
     """Return the files of all applications."""
     functions = _functions(these)
-    files: Files = {"applications.py": applications_text(these.system, functions, these.shares).encode()}
+    facts = {"program_hash": _hashes(these)[0], **_store_facts(these.system)}
+    files: Files = {
+        "applications.py": applications_text(these.system, functions, these.shares).encode(),
+        f"{SOURCE}/{COMPOSITION}": as_json(facts),
+    }
     owners: dict[str, str] = {}
     for application, part, own in zip(these.system.applications, these.parts, functions, strict=True):
         program, end = application.program, module_of(application)

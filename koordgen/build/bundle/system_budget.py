@@ -12,6 +12,7 @@ from koordgen.build.bundle.budget import (
     ENTRY,
     MOST_SHARED,
     WRITE,
+    Traffic,
     array_head,
     check_budget,
     check_link,
@@ -73,7 +74,9 @@ def check_system_budget(system: System, names: Sequence[str]) -> list[Found]:
 def check_system_link(
     system: System, names: Sequence[str], delta: float, link: Medium | None, to_all: bool = False
 ) -> list[Found]:
-    """Check the traffic of one round of all applications against the `link` of the fleet file; see check_link."""
+    """Check the traffic of one round of all applications against the `link` of the fleet file; see check_link.
+
+    B008 (error): a round is too short. B009 (warning): the writes of a robot's events need several datagrams."""
     if is_alone(system):
         only = system.applications[0].program
         return [(0, found) for found in check_link(only, system.robots, delta, link, to_all)]
@@ -82,10 +85,10 @@ def check_system_link(
         return []
     found = [traffic_of(entry_bytes(system, r, own), system.robots, link, to_all) for r, own in enumerate(sizes)]
     needed = ceil(sum(each.receivers * (each.entry + each.acknowledgement) for each in found) / (1 - link.loss))
-    if needed * 8 <= link.rate * delta:
-        return []
-    robot = max(range(system.robots), key=lambda r: found[r].writes)
+    robot = max((r for r in range(system.robots) if sizes[r]), key=lambda r: found[r].writes)
     largest = max(sizes[robot], key=_bytes)
+    if needed * 8 <= link.rate * delta:
+        return [] if found[robot].datagrams == 1 else [_fragments(names[robot], found[robot], largest)]
     message = (
         f"all applications together may send {needed} bytes in a round, but a round of {delta:g} s at {link.rate:g} "
         f"bit/s carries {int(link.rate * delta / 8)} bytes; the writes of {names[robot]} alone take up to "
@@ -93,6 +96,16 @@ def check_system_link(
     )
     help = f"use a longer delta or a faster link, or {_HELP}"
     return [(largest.application, Diagnostic("B008", "error", message, largest.variable.span, help=help))]
+
+
+def _fragments(name: str, found: Traffic, largest: Size) -> Found:
+    """Return a warning that the writes of a robot's applications need several datagrams."""
+    message = (
+        f"the writes of all applications of {name} in a round take up to {found.writes} bytes and need "
+        f"{found.datagrams} datagrams: the loss of one of them delays the round"
+    )
+    help = "write fewer or smaller variables in one event, or give a robot fewer applications"
+    return largest.application, Diagnostic("B009", "warning", message, largest.variable.span, help=help)
 
 
 def entry_bytes(system: System, robot: int, sizes: Sequence[Size]) -> int:

@@ -81,7 +81,8 @@ def applications_text(
     lines += [f"import program_{module_of(application)}" for application in system.applications]
     lines += ["", "FLEET = FleetProgram(", "    applications=("]
     for index, application in enumerate(system.applications):
-        lines += _application(system, index, shares.get(application.name))
+        own = functions[index] if functions else b""
+        lines += _application(system, index, shares.get(application.name), program_hash(application.program, own))
     lines += [
         "    ),",
         f"    robots={system.robots},",
@@ -93,7 +94,7 @@ def applications_text(
     return "\n".join(lines)
 
 
-def _application(system: System, index: int, share: float | None) -> list[str]:
+def _application(system: System, index: int, share: float | None, hash_: str) -> list[str]:
     application, locks = system.applications[index], system.locks()
     own = tuple([locks[index, lock] for lock in range(len(application.program.locks))])
     lines = [
@@ -108,7 +109,8 @@ def _application(system: System, index: int, share: float | None) -> list[str]:
             bound = [str(system.exporter(index, each)), _tuple(each.variables), _tuple(each.written)]
             lines.append(f"                ImportBinding({', '.join([literal(each.name), *bound])}),")
         lines.append("            ),")
-    return [*lines, f"            locks={own},", f"            share={share},", "        ),"]
+    lines += [f"            locks={own},", f"            share={share},", f'            program_hash="{hash_}",']
+    return [*lines, "        ),"]
 
 
 def _tuple(names: Sequence[str]) -> str:

@@ -79,6 +79,24 @@ def planned(
     return bundles, name
 
 
+def fleet_path(options: Namespace) -> str:
+    """Return the path of the fleet file, which stands in place of the program or in --fleet. Raises Failure."""
+    from koordgen.cli.base.values import is_fleet
+
+    found = options.program if is_fleet(options.program) else options.fleet
+    if found is None:
+        help = "add --fleet fleet.yaml, or give a fleet file with `applications` in place of the program"
+        raise Failure(USAGE, "the fleet file is missing", help)
+    return str(found)
+
+
+def invocation(options: Namespace) -> list[str]:
+    """Return the arguments that name program, fleet file, params and functions file for another koordgen command."""
+    found = [options.program] + ([f"--fleet={options.fleet}"] if options.fleet else [])
+    found += [f"--param={text}" for text in options.param]
+    return found + ([f"--functions={options.functions}"] if options.functions else [])
+
+
 def refuse_options_of_programs(options: Namespace) -> None:
     """Raise Failure for options that concern a single program, given with a fleet file instead of a program."""
     for option, given, help in (

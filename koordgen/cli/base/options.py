@@ -256,9 +256,9 @@ def key(command: Parser) -> None:
 
 def deploy(command: Parser) -> None:
     """Options of `koordgen deploy`."""
-    _program(command)
+    _program_or_fleet(command)
     what = command.add_argument_group("what to deploy")
-    _fleet(what, "the fleet file (YAML), with a `host` for each robot", required=True)
+    _fleet(what, f"{_FLEET_OF_PROGRAM}; it has a `host` for each robot")
     _params(what)
     _key(what)
     over = "replace the release of another fleet in the same folder of a host"
@@ -278,6 +278,7 @@ def rollback(command: Parser) -> None:
     _deployment_output(command)
 
 
+_FLEET_OF_PROGRAM = "the fleet file (YAML), if APP.koord is a program"
 # Conditions of all links between robots, which replace those of the scenario.
 _NETWORK = {
     "loss": ("P", values.share, "share of datagrams that are lost, 0 to 1"),
@@ -326,9 +327,9 @@ def harness(command: Parser) -> None:
 
 def campaign(command: Parser) -> None:
     """Options of `koordgen campaign`."""
-    _program(command)
+    _program_or_fleet(command)
     runs = command.add_argument_group("runs")
-    _fleet(runs, "the fleet file (YAML)", required=True)
+    _fleet(runs, _FLEET_OF_PROGRAM)
     runs.add_argument("--runs", metavar="N", type=values.count, help="number of runs (default: each combination once)")
     vary = (
         "settings that differ between runs, separated by commas: seed, seed=1:70, NAME=LO:HI, NAME=A,B,C; may be "
@@ -353,9 +354,11 @@ def campaign(command: Parser) -> None:
 
 def validate(command: Parser) -> None:
     """Options of `koordgen validate`."""
-    _program(command)
+    _program_or_fleet(command)
     runs = command.add_argument_group("runs")
-    _fleet(runs, "the fleet file (YAML)", required=True)
+    _fleet(runs, _FLEET_OF_PROGRAM)
+    application = "the application whose assumptions to test, if several of a fleet file have assumptions"
+    runs.add_argument("--application", metavar="NAME", help=application)
     samples = "number of runs, each from another start (default: as many as --epsilon and --gamma need)"
     runs.add_argument("--samples", metavar="N", type=values.count, help=samples)
     epsilon = "VALIDATED means: a run violates an assumption with a probability below E (default: 0.05)"
@@ -376,7 +379,11 @@ def validate(command: Parser) -> None:
     where.add_argument("--jobs", metavar="J", type=values.count, help=jobs)
     where.add_argument("--cluster", metavar="ADDRESS", help="the Dask scheduler that distributes the runs")
     output = command.add_argument_group("output")
-    output.add_argument("--out", metavar="DIR", help="folder for runs, table and picture (default: validate-APP)")
+    output.add_argument(
+        "--out",
+        metavar="DIR",
+        help="folder for runs, table and picture (default: validate-APP, or validate-FLEET-NAME)",
+    )
     _quiet(output)
     _format(output)
 

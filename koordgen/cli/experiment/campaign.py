@@ -20,6 +20,7 @@ from typing import Any
 
 from koordgen.cli.base import building, console
 from koordgen.cli.base.terminal import ProgressLine
+from koordgen.cli.base.values import is_fleet
 from koordgen.cli.experiment.harness import read_scenario
 from koordgen.experiment.campaign import drive, executor, plan, store, vary
 from koordgen.experiment.campaign.task import Job
@@ -47,6 +48,8 @@ def campaign(options: Namespace) -> int:
     except vary.BadVary as error:
         way = "give --vary items like seed, seed=1:70, NAME=LO:HI or NAME=A,B,C, separated by commas"
         raise console.Failure(console.USAGE, str(error), way) from None
+    building.fleet_path(options)
+    _check_params(options, runs)
     if options.verdict and not Path(options.verdict).is_file():
         raise console.Failure(console.WRONG, f"--verdict {options.verdict}: no such file; give the path of a script")
     options.collected = []
@@ -130,9 +133,13 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
     The function prints no diagnostics, because they were printed when the campaign was planned."""
 
     def build(params: Mapping[str, str], folder: Path) -> None:
-        from koordgen.build.pipeline import plan_file
+        from koordgen.build.pipeline import plan_file, plan_fleet_file
         from koordgen.lang.analyze.params import BadParam
 
+        if is_fleet(options.program):
+            _, bundles = plan_fleet_file(options.program, [harness.name])
+            building.write({harness.name: bundles[harness.name]}, folder)
+            return
         given = building.params([*options.param, *(f"{name}={value}" for name, value in params.items())])
         try:
             _, bundles = plan_file(options.program, [harness.name], options.fleet, given, options.functions)
@@ -141,6 +148,15 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
         building.write({harness.name: bundles[harness.name]}, folder)
 
     return build
+
+
+def _check_params(options: Namespace, runs: Sequence[plan.PlannedRun]) -> None:
+    """Raise Failure if params are varied, but the fleet file gives the params of several programs."""
+    if runs[0].params and is_fleet(options.program):
+        name = next(iter(runs[0].params))
+        message = f"{vary.PARAM}{name} cannot be varied: {options.program} has the params of its applications"
+        help = "write one fleet file for each value, and run a campaign of each"
+        raise console.Failure(console.USAGE, message, help)
 
 
 def _check_variation(runs: Sequence[plan.PlannedRun], harness: Target) -> None:
@@ -261,9 +277,9 @@ def _ended(
 
 def _single(options: Namespace, run: plan.PlannedRun, fixed: Sequence[str], harness: Target, folder: Path) -> list[str]:
     """Return the command line that repeats one run of a campaign. The report of the run shows the command line."""
-    params = [f"--param={text}" for text in [*options.param, *(f"{n}={v}" for n, v in run.params.items())]]
+    params = [f"--param={name}={value}" for name, value in run.params.items()]
     settings = [f"# {name}: {value}" for name, value in run.settings.items()]
-    words = ["koordgen", harness.name, options.program, f"--fleet={options.fleet}", *params, *fixed, *_flags(run)]
+    words = ["koordgen", harness.name, *building.invocation(options), *params, *fixed, *_flags(run)]
     return [*words, f"--out={folder}", *settings]
 
 

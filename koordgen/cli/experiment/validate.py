@@ -9,13 +9,15 @@ import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from koordgen.build.pipeline import Checked, check_file, fleet_params
+from koordgen.build.pipeline import Checked, check_file, check_system, fleet_params
 from koordgen.cli.base import building, console
 from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
+from koordgen.cli.base.values import is_fleet
 from koordgen.cli.experiment import campaign as campaigns
 from koordgen.experiment.campaign import drive, store
 from koordgen.experiment.campaign.executor import ClusterUnreachable
@@ -33,30 +35,49 @@ from koordgen.verify.prove.smt.solve import Limits, SolverMissing, solver_of
 
 LIMITS = Limits(query=10.0, total=60.0)
 STATUS = {"VALIDATED": console.HOLDS, "VIOLATED": console.VIOLATED, "INCONCLUSIVE": console.INCONCLUSIVE}
-FLAGS = ("--lockstep", "--windows")
+
+
+@dataclass(frozen=True)
+class ValidatedProgram:
+    """Program whose assumptions are validated.
+
+    `fleet`: path of the fleet file. `application`: its name, if the fleet has several; else "". `given`: the values of
+    params in the `applications` of the fleet file, if the file names the program."""
+
+    checked: Checked
+    fleet: str
+    application: str = ""
+    given: Mapping[str, Value] | None = None
+
+    @property
+    def path(self) -> str:
+        """Path of the program."""
+        return self.checked.source.path
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Command-line options of all simulation runs."""
+        return ("--lockstep", f"--windows={self.application}" if self.application else "--windows")
 
 
 def validate(options: Namespace) -> int:
     """Execute simulation runs, judge the program's assumptions, suggest weaker assumptions, and print a report.
 
     Return the exit status of the command. Raises Failure, Rejected."""
-    checked = check_file(options.program)
-    if not any(module.assumptions for module in checked.program.modules):
-        way = "write assumptions under `using`, such as `assume position' in Rect(position, target)`"
-        raise console.Failure(console.INCONCLUSIVE, f"{options.program} has no assumptions about its ports", way)
+    of = _validated(options)
     count = options.samples or ProbabilityBound(options.epsilon, options.gamma).needed
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
     aside = Namespace(**{**vars(options), "format": "text"})  # only the report may be printed as JSON
     bundles, app = building.planned(aside, [harness.name])
     building.require_packages()
-    out = Path(options.out or f"validate-{app}")
+    out = Path(options.out or "-".join(filter(None, ["validate", app, of.application])))
     line = ProgressLine(sys.stderr)
     try:
-        kept, ended = _sampled(aside, harness, bundles[harness.name], app, count, out, line)
-        found = _report(options, checked, bundles[harness.name], kept, count, ended is None, line)
-        reach = _reachsets(aside, out, line) if options.reachsets and ended is None else {}
-        _print_report(options, found, out, ended is None, reach)
+        kept, ended = _sampled(aside, of, harness, bundles[harness.name], app, count, out, line)
+        found = _report(options, of, bundles[harness.name], kept, count, ended is None, line)
+        reach = _reachsets(aside, of.fleet, out, line) if options.reachsets and ended is None else {}
+        _print_report(options, of, found, out, ended is None, reach)
     except (store.FolderUnusable, ClusterUnreachable) as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
@@ -66,8 +87,39 @@ def validate(options: Namespace) -> int:
     return STATUS[found.verdict]
 
 
+def _validated(options: Namespace) -> ValidatedProgram:
+    """Return the program whose assumptions are to be validated. Raises Failure, Rejected."""
+    fleet = building.fleet_path(options)
+    way = "write assumptions under `using`, such as `assume position' in Rect(position, target)`"
+    nothing = console.Failure(console.INCONCLUSIVE, f"{options.program} has no assumptions about its ports", way)
+    if not is_fleet(options.program):
+        if options.application is not None:
+            help = "name the application's program, or give its fleet file in place of the program"
+            raise console.Failure(console.USAGE, "--application needs a fleet file with `applications`", help)
+        checked = check_file(options.program)
+        if not _has_assumptions(checked):
+            raise nothing
+        return ValidatedProgram(checked, fleet)
+    system = check_system(fleet)
+    pairs = zip(system.fleet.applications, system.parts, strict=True)
+    found = {settings.name: (settings, part) for settings, part in pairs if _has_assumptions(part)}
+    if not found:
+        raise nothing
+    wanted = options.application or next(iter(found))
+    if wanted not in found or (options.application is None and len(found) > 1):
+        wrong = f"no application {wanted} with assumptions" if wanted not in found else "several have assumptions"
+        help = f"choose one of {', '.join(found)} with --application"
+        raise console.Failure(console.USAGE, f"{options.program}: {wrong}", help)
+    settings, part = found[wanted]
+    return ValidatedProgram(part, fleet, wanted if len(system.parts) > 1 else "", settings.params)
+
+
+def _has_assumptions(checked: Checked) -> bool:
+    return any(module.assumptions for module in checked.program.modules)
+
+
 def _report(
-    options: Namespace, checked: Checked, bundle: Mapping[str, bytes], kept: store.CampaignStore, count: int,
+    options: Namespace, of: ValidatedProgram, bundle: Mapping[str, bytes], kept: store.CampaignStore, count: int,
     whole: bool, line: ProgressLine,
 ) -> table.ValidationReport:  # fmt: skip
     """Judge the assumptions from the finished runs, and return the report.
@@ -80,19 +132,20 @@ def _report(
     judged = verdicts(
         finished, count - len(finished) if whole else len(failed), ProbabilityBound(options.epsilon, options.gamma)
     )
-    title = f"{Path(options.program).name} on {Path(options.fleet).name}, {len(finished)} runs"
+    title = f"{Path(of.path).name} on {Path(of.fleet).name}, {len(finished)} runs"
     drawn = kept.folder / "windows.png"
-    instead = _suggested(options, checked, judged, finished, line) if whole else ()
+    instead = _suggested(options, of, judged, finished, line) if whole else ()
     seen = whole and picture.draw(finished, title, drawn)
     return table.ValidationReport(
-        options.program, options.fleet, ProbabilityBound(options.epsilon, options.gamma), count, len(finished),
-        options.seed, options.seconds, _start_noise(bundle), failed[0] if failed else "", _texts(checked), judged,
+        of.path, of.fleet, ProbabilityBound(options.epsilon, options.gamma), count, len(finished),
+        options.seed, options.seconds, _start_noise(bundle), failed[0] if failed else "", _texts(of.checked), judged,
         finished[0].unchecked if finished else (), instead, str(drawn) if seen else "",
     )  # fmt: skip
 
 
 def _sampled(
     options: Namespace,
+    of: ValidatedProgram,
     harness: manifest.Target,
     bundle: Mapping[str, bytes],
     app: str,
@@ -104,7 +157,7 @@ def _sampled(
 
     The folder may contain runs of an earlier command for the same program and fleet, because a run depends only on its
     seed. Return all stored runs, and None or the exception that ended the execution early."""
-    fixed = [f"--duration={options.seconds:g}", *FLAGS]
+    fixed = [f"--duration={options.seconds:g}", *of.flags]
     seeds = [str(options.seed + k) for k in range(count)]
     runs = [PlannedRun(k, {"seed": seed}, {}, {}, {"seed": seed}) for k, seed in enumerate(seeds)]
     sums = campaigns._digest(bundle[campaigns.SUMS])
@@ -126,9 +179,7 @@ def _sampled(
 
 def _command(options: Namespace, seed: int, out: Path) -> str:
     """Return the command line that repeats a simulation run of a validation and writes a report of the run."""
-    given = [f"--param={text}" for text in options.param]
-    given += [f"--functions={options.functions}"] if options.functions else []
-    words = ["koordgen", options.harness, options.program, f"--fleet={options.fleet}", *given]
+    words = ["koordgen", options.harness, *building.invocation(options)]
     return shlex.join([*words, f"--duration={options.seconds:g}", "--lockstep", f"--seed={seed}", f"--out={out}"])
 
 
@@ -147,7 +198,7 @@ def _texts(checked: Checked) -> dict[int, str]:
 
 def _suggested(
     options: Namespace,
-    checked: Checked,
+    of: ValidatedProgram,
     judged: Sequence[AssumptionVerdict],
     found: Sequence[samples.RunSample],
     line: ProgressLine,
@@ -158,8 +209,15 @@ def _suggested(
     violated = dict.fromkeys(v.assumption.line for v in judged if v.verdict == "VIOLATED")
     if not violated:
         return []
+    checked = of.checked
+    if checked.program.imports or checked.program.exports:
+        way = f"write a weaker assumption into {of.path}, and run `koordgen prove {of.fleet}`"
+        console.notify(
+            f"note: no weaker assumptions are suggested, because {of.application} is not proved alone; {way}"
+        )
+        return []
     given: dict[str, Value] = {
-        **fleet_params(options.fleet, checked, options.program),
+        **(fleet_params(of.fleet, checked, of.path) if of.given is None else of.given),
         **building.params(options.param),
     }
     try:
@@ -173,17 +231,20 @@ def _suggested(
         return []
 
 
-def _reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
-
-    return make_reachsets(options, out, line)
-
-
 def _print_report(
-    options: Namespace, found: table.ValidationReport, out: Path, whole: bool, reach: Mapping[str, Any]
+    options: Namespace,
+    of: ValidatedProgram,
+    found: table.ValidationReport,
+    out: Path,
+    whole: bool,
+    reach: Mapping[str, Any],
 ) -> None:
     def commands(case: Case) -> tuple[str, str]:
         folder = out / store.RUNS / f"{case.run:04d}"
-        return _command(options, case.seed, Path(f"{folder}-again")), shlex.join(["koordgen", "replay", str(folder)])
+        # `replay` does not take the trace of several applications
+        look = ["koordgen", "show", str(folder), f"--at={case.at:g}"] if of.application else None
+        again = _command(options, case.seed, Path(f"{folder}-again"))
+        return again, shlex.join(look or ["koordgen", "replay", str(folder)])
 
     document: dict[str, Any] = table.document(found, commands)
     text = table.as_text(found, commands)
@@ -209,7 +270,7 @@ def _print_report(
 FOLDER, RUNS = "reachsets", "probes"
 
 
-def make_reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[str, Any]:
+def _reachsets(options: Namespace, fleet: str, out: Path, line: ProgressLine) -> dict[str, Any]:
     """Compute and write the reachsets of all platforms of the fleet. Reachsets of an earlier command are replaced.
 
     Return for the JSON report: the offset, the written files, the comparisons of platforms, and under `text` a table.
@@ -220,7 +281,7 @@ def make_reachsets(options: Namespace, out: Path, line: ProgressLine) -> dict[st
     try:
         with closing(campaigns._executor(options)) as executor, campaigns._recorded_signals() as received:
             runs = store.cleared(folder / RUNS)
-            found = reachsets(options.fleet, (), asked, executor, runs, show, lambda: bool(received))
+            found = reachsets(fleet, (), asked, executor, runs, show, lambda: bool(received))
         files = write_files(found, folder)
     except BadProbe as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None

@@ -75,15 +75,15 @@ def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
     apart = f"`koordgen audit {folder / ROBOTS} --program APP.koord` reads the robots' own traces"
     try:
         whole = flown(folder)
-        program = write_source(folder, found.programs, whole.log.program_hash)
-        if program is None:
+        facts = write_source(folder, found.programs, whole.log.program_hash)
+        if facts is None:
             console.notify(
                 "warning: the traces are not merged: no release on the robots has the program that wrote them, whose "
                 f"hash is {whole.log.program_hash}"
                 f"\n  help: {apart}"
             )
             return False
-        write_trace(folder, whole, program, fleet)
+        write_trace(folder, whole, facts, fleet)
     except BadTrace as error:
         console.notify(f"warning: the traces cannot be merged: {error}\n  help: {apart}")
         return False

@@ -28,8 +28,10 @@ def deploy(options: Namespace) -> int:
     from koordgen.operate import deploy as deployment
 
     options.collected = []
+    path = building.fleet_path(options)
     bundles, app = building.planned(options, None)
-    fleet = ssh.read_fleet(options.fleet)
+    options.fleet = path
+    fleet = ssh.read_fleet(path)
     hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
     robots = {robot.name: bundles[robot.name] for robot in fleet.robots}
     place = fleet.deployment

@@ -95,13 +95,15 @@ def builds(folder: Folder, release: str | None) -> dict[str, str]:
 
 
 def source(folder: Folder, release: str, robot: str) -> dict[str, str]:
-    """Return the source files in a robot's bundle, by name: program, params, extern functions.
+    """Return the source files in a robot's bundle, by path: program, params, extern functions.
 
-    A replay of the robot's traces needs these files.
+    A replay of the robot's traces needs these files. With several applications, those of each are in a folder of its
+    own, and `source/composition.json` says which robots run it.
     """
     bundle = folder.bundle(checked_release(release), checked_robot(robot))
     found = [*bundle.glob("*.koord"), *bundle.glob("*_functions.py"), *bundle.glob("params.json")]
-    return {path.name: path.read_text(encoding="utf-8") for path in found}
+    found += [*bundle.glob("source/composition.json"), *bundle.glob("source/*/*")]
+    return {str(path.relative_to(bundle)): path.read_text(encoding="utf-8") for path in found if path.is_file()}
 
 
 def describe(folder: Folder, release: str) -> dict[str, Any]:

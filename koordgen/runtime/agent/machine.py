@@ -9,6 +9,8 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import msgspec
+
 from koordgen.runtime.agent.checkpoint import CheckpointStore
 from koordgen.runtime.agent.instance import AgentInstance
 from koordgen.runtime.agent.joining import Joining
@@ -163,6 +165,7 @@ class Agent:
         pose: position (m, ENU), yaw (rad) and age (s); None if unknown.
         battery: charge from 0 to 1; None if unknown.
         goal: commanded points.
+        applications: only with several, the state of each that this robot runs; see `_applications`.
         Further keys: recent history, see koordgen/runtime/ops/recent.py.
         """
         sensed, found = self._platform.sense(now), vitals(self._platform)
@@ -176,8 +179,30 @@ class Agent:
             "pose": pose,
             "battery": None if found.battery is None else round(found.battery, 3),
             "goal": goal(self._body.actuators, transmissible),
+            **({"applications": self._applications()} if self._fleet.is_composed else {}),
             **self._journal.recent.report(now, self._kinds),
         }
+
+    def _applications(self) -> list[dict[str, Any]]:
+        """Return the state of each instance for the status report.
+
+        pid: its place among `members`, the robots that run the application.
+        stopped: its program has stopped.
+        counts: its number of faults and of lost contentions, as far as there are any.
+        Further keys: see ApplicationResult.
+        """
+        numbers, recent = self._fleet.of_robot(self._settings.pid), self._journal.recent
+        return [
+            {
+                "name": instance.application,
+                "pid": number.pid,
+                "members": self._fleet.applications[number.application].members,
+                "stopped": instance.stopped,
+                **msgspec.structs.asdict(recent.of(instance.application)),
+                "counts": dict(instance.counts),
+            }
+            for instance, number in zip(self._instances, numbers, strict=True)
+        ]
 
     def end(self, why: str) -> None:
         """Stop the robot safely; `done` becomes true when it has stopped."""

@@ -132,7 +132,7 @@ def _load(fleet: FleetProgram, robot: int) -> str | None:
     for program in programs_of(fleet, robot):
         wrong = wrong_first_value(program)
         if wrong is not None:
-            return wrong
+            return f"{program.name}: {wrong}" if fleet.is_composed else wrong
         if program.library is not None:
             program.library.load()
     return None

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
-from koordgen.runtime.ops.host import host, install_requirements
+from koordgen.runtime.ops.host import files, host, install_requirements, is_bundled
 from koordgen.runtime.vehicle.platform import Finding
 
 OK, WRONG, SURROUNDINGS = 0, 1, 5
@@ -85,9 +85,11 @@ def report_unloadable(root: Path, argv: Sequence[str], error: ImportError) -> in
     """Print the error of a bundle that cannot be imported. Return the exit status.
 
     If `argv` contains `--doctor`, also print the results of all checks that need no import."""
-    install = install_requirements(root)
-    what = f"the Python package {error.name!r} is missing or does not load: {error}"
-    found = [*host(root), Finding("import", "fail", what, why=install)]
+    own = files(root)
+    is_own = own.state == "fail" and is_bundled(root, error.name or "")
+    kind, why = ("file of the bundle for", own.why) if is_own else ("Python package", install_requirements(root))
+    what = f"the {kind} {error.name!r} is missing or does not load: {error}"
+    found = [*host(root), own if is_own and "--doctor" not in argv else Finding("import", "fail", what, why=why)]
     if "--doctor" in argv:
         return print_checks(root.name, found, "json" if "json" in argv or "--format=json" in argv else "text")
     return print_briefly(found[-1:])

@@ -54,6 +54,7 @@ def examine(
         f"robot {settings.robot}, pid {settings.pid} of {len(settings.peers)}, delta {settings.delta} s",
     )
     yield _program(fleet, settings)
+    yield from _applications(fleet, settings.pid)
     yield _compiled()
     yield _protocol(settings, root)
     if settings.state is not None:
@@ -95,6 +96,14 @@ def _program(program: FleetProgram, settings: Settings) -> Finding:
     return Finding(
         "program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}{release}"
     )
+
+
+def _applications(fleet: FleetProgram, robot: int) -> Iterator[Finding]:
+    """Name each application of a fleet that has several, and this robot's place in it."""
+    for application in fleet.applications if fleet.is_composed else ():
+        members = application.members
+        place = f"pid {members.index(robot)} of {len(members)}" if robot in members else "not on this robot"
+        yield Finding("program", "ok", f"{application.name} {application.program.program_hash}: {place}")
 
 
 def _compiled() -> Finding:

@@ -180,6 +180,16 @@ def files(root: Path) -> Finding:
     return Finding("files", "fail", wrong[0] + more, "as they were built", "build the bundle again, and copy all of it")
 
 
+def is_bundled(root: Path, module: str) -> bool:
+    """Return whether a Python module is a file of the bundle as it was built."""
+    try:
+        lines = (root / SUMS).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return False
+    path = module.replace(".", "/")
+    return not {f"{path}.py", f"{path}/__init__.py"}.isdisjoint(line.partition("  ")[2] for line in lines)
+
+
 def _state(path: Path, digest: str) -> str:
     try:
         return "" if sha256(path.read_bytes()).hexdigest() == digest else "changed"

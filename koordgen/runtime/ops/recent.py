@@ -24,6 +24,27 @@ Line = tuple[int, float, int, str, str]  # number of the line, local time in sec
 RoundResult = tuple[int, str, str, float]  # round, outcome, detail, seconds after the round's start
 
 
+class ApplicationResult(msgspec.Struct):
+    """Last results of one of several applications. Round 0: none yet.
+
+    round: round of its last record.
+    event: its last event without a fault.
+    event_round: round of that event.
+    fault: fault of the last record; "" if it has none.
+    """
+
+    round: int = 0
+    event: str = ""
+    event_round: int = 0
+    fault: str = ""
+
+    def add(self, record: RoundRecord) -> None:
+        self.round = record.round
+        self.fault = "" if record.fault is None else str(record.fault)[:LONGEST_OUTCOME]
+        if record.event is not None and record.fault is None:
+            self.event, self.event_round = record.event, record.round
+
+
 class Recent:
     """Last log lines and rounds of a robot, and the last value that the robot wrote into each shared variable.
 
@@ -35,6 +56,7 @@ class Recent:
         self._lines: deque[Line] = deque(maxlen=MOST_LINES)
         self._rounds: deque[RoundResult] = deque(maxlen=MOST_ROUNDS)
         self._written: dict[str, tuple[int, Any]] = {}
+        self._applications: dict[str, ApplicationResult] = {}
         self._count = 0
         self._decided = 0.0  # time of the newest round's record, in seconds of the local clock
 
@@ -53,10 +75,15 @@ class Recent:
             outcome, detail = "event", record.event or ""
         if record.application:
             detail = f"{record.application}: {detail}"
+            self.of(record.application).add(record)
         self._rounds.append((record.round, outcome, detail[:LONGEST_OUTCOME], record.late))
         self._decided = record.time
         if record.effects is not None:
             self.wrote(record.round, record.effects.shared, record.application)
+
+    def of(self, application: str) -> ApplicationResult:
+        """Return the last results of one of several applications."""
+        return self._applications.setdefault(application, ApplicationResult())
 
     def wrote(self, round_: int, values: Mapping[str, Any], application: str = "") -> None:
         """Add the shared variables that the event of a round wrote; round 0 is `init`."""
@@ -85,14 +112,17 @@ class Recent:
 
 
 def _runs(rounds: Iterable[RoundResult]) -> list[list[Any]]:
+    """Return sequences of rounds with equal outcomes. Those of several applications overlap."""
     runs: list[list[Any]] = []
+    last: dict[tuple[str, str], list[Any]] = {}
     for number, outcome, detail, late in rounds:
-        late_ms = round(late * 1e3, 1)
-        if runs and runs[-1][2:4] == [outcome, detail] and runs[-1][0] + runs[-1][1] == number:
-            runs[-1][1] += 1
-            runs[-1][4].append(late_ms)
+        late_ms, run = round(late * 1e3, 1), last.get((outcome, detail))
+        if run is not None and run[0] + run[1] == number:
+            run[1] += 1
+            run[4].append(late_ms)
         else:
-            runs.append([number, 1, outcome, detail, [late_ms]])
+            last[outcome, detail] = run = [number, 1, outcome, detail, [late_ms]]
+            runs.append(run)
     return runs
 
 

@@ -41,12 +41,21 @@ def open_key(settings: Settings) -> bytes | None:
 
 
 def fleet_program(program: Program | FleetProgram, settings: Settings) -> FleetProgram:
-    """Return the applications of a bundle's fleet. Raises BadSettings if the settings are of another fleet."""
+    """Return the applications of a bundle's fleet.
+
+    Raises BadSettings if the settings are of another fleet, or a program is of another build than the others."""
     robots = len(settings.peers)
     if isinstance(program, Program):
         return FleetProgram.alone(program, robots)
     if program.robots != robots:
         raise BadSettings(f"the settings have {robots} robots, but the bundle was built for {program.robots}")
+    for application in program.applications:
+        found, wanted = application.program.program_hash, application.program_hash
+        if wanted and found != wanted:
+            raise BadSettings(
+                f"the bundle has files of two builds: the program of {application.name} has the hash {found}, but "
+                f"applications.py was built with {wanted}; build the bundle again, and copy all of it"
+            )
     return program
 
 

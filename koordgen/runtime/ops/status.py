@@ -6,7 +6,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -88,6 +88,7 @@ def show(report: Mapping[str, Any]) -> str:
         f"rounds    {report['rounds']}, current in {share:.1f} %, {report['events']} events",
         f"lateness  {_durations(late)} ms",
         "",
+        *applications_table([(report["robot"], report)]),
         f"{'peer':<12} {'loss':>7} {'delay p50 / p99 / max ms':>26} {'silent ms':>10} {'longest':>9} {'behind':>7} "
         f"{'repeats':>8}",
     ]
@@ -109,6 +110,40 @@ def show(report: Mapping[str, Any]) -> str:
         if counts:
             lines += ["", title, *(f"{count:>8}  {reason}" for reason, count in sorted(counts.items()))]
     return "\n".join(lines)
+
+
+def applications_table(reports: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """Return lines of a table with each application of each robot, given by name and report, and an empty line.
+
+    Return no lines if the fleet has only one application."""
+    rows = [
+        (
+            name,
+            each["name"],
+            f"{each['pid']} of {len(each['members'])}",
+            str(each["round"]),
+            _last_event(each),
+            *_state(each),
+        )
+        for name, report in reports
+        for each in report.get("applications", ())
+    ]
+    if not rows:
+        return []
+    rows.insert(0, ("robot", "application", "pid", "round", "last event", "faults", "state"))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [*lines, ""]
+
+
+def _last_event(application: Mapping[str, Any]) -> str:
+    return f"{application['event']} (round {application['event_round']})" if application["event"] else "none yet"
+
+
+def _state(application: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the number of faults of an application, and its state."""
+    count, fault = str(application["counts"].get("faults", 0)), application["fault"]
+    return count, "stopped" if application["stopped"] else f"holds: {fault}" if fault else "runs"
 
 
 def _durations(found: Mapping[str, float]) -> str:

@@ -40,6 +40,7 @@ class FleetApplication:
         protects variables that occur in one atomic event of some application.
     share: part of a robot's time for events that this application may use; None: it divides the rest equally with
         others. If the shares on a robot do not add up to 1, they are scaled.
+    program_hash: hash of the program in the build that made this description; "" if it is not to be compared.
     """
 
     name: str
@@ -48,6 +49,7 @@ class FleetApplication:
     imports: tuple[ImportBinding, ...] = ()
     locks: tuple[int, ...] = ()
     share: float | None = None
+    program_hash: str = ""
 
     @property
     def own(self) -> tuple[Variable, ...]:

@@ -7,6 +7,7 @@ each further line a window, the last line the end of the run: a file without an 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,17 +27,20 @@ Array = NDArray[Any]
 
 
 class Windows:
-    """Windows of one run. `put` and `moved` are called window by window, `write` at the end."""
+    """Windows of one run. `put` and `moved` are called window by window, `write` at the end.
 
-    def __init__(self, found: Properties, scenario: Scenario, seed: int) -> None:
+    members: robots that run the application, whose pids are their places here; None: all robots."""
+
+    def __init__(self, found: Properties, scenario: Scenario, seed: int, members: Sequence[int] | None = None) -> None:
         self._rows: list[dict[str, Any]] = []
-        self._n = len(scenario.robots)
+        robots = [r for r in scenario.robots if members is None or r.pid in members]
+        self._n = len(robots)
         self.goal = _goal(found)
         left = [u for u in found.unchecked if u.kind == "assume"]
         self._head = {
             "format": FORMAT, "app": scenario.app, "program_hash": scenario.program_hash, "seed": seed,
             "delta": scenario.delta, "body": self.goal.rpartition(".")[0],
-            "robots": [{"name": r.name, "platform": f"{r.target} {r.sim.fidelity}"} for r in scenario.robots],
+            "robots": [{"name": r.name, "platform": f"{r.target} {r.sim.fidelity}"} for r in robots],
             "assumptions": [{"module": a.module, "line": a.line} for a in found.assumptions],
             "unchecked": [{"module": u.name, "line": u.line, "why": u.why} for u in left],
         }  # fmt: skip

@@ -9,6 +9,7 @@ ground truth: poses are those that the robots measured."""
 from __future__ import annotations
 
 import heapq
+import math
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -83,7 +84,8 @@ def merge(path: Path, header: Mapping[str, Any], traces: Sequence[Sequence[Path]
 def _records(files: Sequence[Path], pid: int, delta: float, application: str) -> Iterator[tuple[float, bytes]]:
     """Yield one robot's records by fleet time, in the robot's order for equal times.
 
-    Before each round comes the pose that the robot measured at its start."""
+    Before each round comes the pose that the robot measured at its start, once for all its applications."""
+    last = -math.inf
     places, clocks = _index_records(files, delta)
     ordered = sorted((clocks[place.file].t(place.time), place) for place in places if clocks[place.file])
     opened = [path.open("rb") for path in files]
@@ -92,7 +94,8 @@ def _records(files: Sequence[Path], pid: int, delta: float, application: str) ->
             opened[place.file].seek(place.offset)
             line = upgraded(opened[place.file].readline(), application)
             record = decoded(line)
-            if isinstance(record, InitRecord | Round) and (pose := _pose(record.sensors)) is not None:
+            if isinstance(record, InitRecord | Round) and t > last and (pose := _pose(record.sensors)) is not None:
+                last = t
                 yield t, encoded(PoseRecord(pid, *pose, LEFT_OUT, t))
             yield t, at(line, t, pid)
     finally:

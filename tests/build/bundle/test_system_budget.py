@@ -69,12 +69,33 @@ def test_inits_of_all_applications_share_a_datagram() -> None:
 
 
 def test_the_link_carries_the_writes_of_all_applications() -> None:
-    text = "allwrite: string {0} max 500\n" + GO.format('{0} = "x"')
+    text = "allwrite: string {0} max 400\n" + GO.format('{0} = "x"')
     made = system(text.format("a"), text.format("b"))
     fast, slow = Medium(rate=1e6, loss=0.0, mtu=1500), Medium(rate=6e4, loss=0.0, mtu=1500)
     assert check_system_link(made, NAMES, 0.1, fast) == [] == check_system_link(made, NAMES, 0.1, None)
     index, found = only(check_system_link(made, NAMES, 0.1, slow))
     assert (index, found.code) == (0, "B008") and "carries 750 bytes" in found.message and "bert" in found.message
+
+
+def test_writes_of_one_round_that_need_several_datagrams_are_a_warning() -> None:
+    texts = (f"allwrite: string {v} max 900\n{GO.format(f'{v} = {v}')}" for v in "ab")
+    made, fast = system(*texts), Medium(rate=1e9)
+    index, found = only(check_system_link(made, NAMES, 0.1, fast))
+    assert (index, found.code, found.severity, found.span.line) == (0, "B009", "warning", 1)
+    assert "all applications of bert" in found.message and "need 3 datagrams" in found.message
+    texts = (f"allwrite: string {v} max 300\n{GO.format(f'{v} = {v}')}" for v in "ab")
+    assert check_system_link(system(*texts), NAMES, 0.1, fast) == []
+
+
+def test_a_robot_that_writes_nothing_is_not_the_one_to_report() -> None:
+    """Alice, whose two applications write nothing, has a longer entry than bert with one short write."""
+    programs = [compiled(name, f"local: int k\n{GO.format('k = 1')}") for name in ("x", "y")]
+    programs.append(compiled("z", f"allwrite: bool b\n{GO.format('b = True')}"))
+    members = ((0,), (0,), (1,))
+    made = System(tuple([Application(p.name, p, m) for p, m in zip(programs, members, strict=True)]), 2)
+    assert check_system_link(made, NAMES, 0.1, Medium(rate=1e9)) == []
+    index, found = only(check_system_link(made, NAMES, 0.1, Medium(rate=100)))
+    assert (index, found.code) == (2, "B008") and "the writes of bert alone" in found.message
 
 
 def test_one_application_is_checked_as_its_program() -> None:

@@ -70,6 +70,25 @@ def test_all_held(capsys: pytest.CaptureFixture[str]) -> None:
     assert shown.startswith("koordgen sim app.koord --fleet=fleet.yaml --duration=12 --lockstep --seed=3 --loss=0.")
 
 
+def test_the_programs_may_be_those_of_a_fleet_file(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["campaign", "fleet.yaml", "--out", "out", "--jobs", "2", "--vary", "seed=1:2", "--lockstep"]
+    assert cli.main(words) == 0
+    shown = Path("out/runs/0001/began").read_text()
+    assert shown.startswith("koordgen sim fleet.yaml --lockstep --seed=2 --out=")
+    assert cli.main([*words, "--vary", "param.count=1,2"]) == 2
+    assert "write one fleet file for each value" in capsys.readouterr().err
+
+
+def test_a_program_without_a_fleet_file_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["campaign", "app.koord", "--vary", "seed=1:2"]) == 2
+    assert "the fleet file is missing\n  help: add --fleet" in capsys.readouterr().err
+
+
+def test_one_run_is_repeated_with_the_functions_of_the_campaign() -> None:
+    assert campaign("--vary", "seed=1:2", "--functions", "own.py") == 0
+    assert "--functions=own.py" in Path("out/runs/0001/began").read_text()
+
+
 def test_reports_are_made_of_runs_only_when_they_are_asked_for() -> None:
     assert campaign("--vary", "seed=1:2") == 0
     assert not list(Path("out").rglob("report.html"))

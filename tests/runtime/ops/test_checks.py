@@ -71,6 +71,18 @@ def test_an_unready_is_a_finding() -> None:
     assert Finding.of("link", Unready("silent", "plug it in")) == Finding("link", "fail", "silent", why="plug it in")
 
 
+@pytest.mark.parametrize("options", [[], ["--doctor"]])
+def test_a_missing_file_of_the_bundle_is_no_missing_package(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "requirements.txt").write_text("")
+    (tmp_path / "SHA256SUMS").write_text(f"{'0' * 64}  program_task.py\n")
+    error = ImportError("No module named 'program_task'", name="program_task")
+    assert report_unloadable(tmp_path, options, error) == 1
+    told = "".join(capsys.readouterr())
+    assert "program_task.py is missing" in told and "copy all of it" in told and "pip" not in told
+
+
 def test_a_bundle_that_cannot_be_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "requirements.txt").write_text("nobody-has-this==1.0\n")
     error = ImportError("No module named 'nobody'", name="nobody")

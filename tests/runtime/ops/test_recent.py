@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from benchmarks.fixtures.fleet import Fleet
 from koordgen.runtime.ops.recent import LINES_BYTES, LONGEST_VALUE, MOST_POINTS, VALUES_BYTES, Recent, goal
@@ -38,6 +39,26 @@ def test_rounds_with_one_outcome_are_one_run_that_ends_at_a_gap() -> None:
         [6, 1, "event", "Go", [2.0]], [7, 1, "fault", "a.koord:3: division by zero", [0.0]],
     ]  # fmt: skip
     assert report["decided"] == 0.05
+
+
+def test_runs_of_several_applications_overlap() -> None:
+    recent = Recent()
+    for number in (1, 2, 3):
+        recent.round(replace(event(number), application="map"))
+        recent.round(replace(skipped(number, "no event"), application="task"))
+    assert [run[:4] for run in recent.report(0.0, {})["outcomes"]] == [
+        [1, 3, "event", "map: Go"], [1, 3, "skipped", "task: no event"],
+    ]  # fmt: skip
+    assert (recent.of("map").event, recent.of("map").event_round, recent.of("task").event) == ("Go", 3, "")
+
+
+def test_a_fault_of_an_application_ends_with_its_next_record() -> None:
+    recent = Recent()
+    fault = Fault("a.koord", 3, "division by zero")
+    recent.round(RoundRecord(4, 0.4, 0.0, {}, None, "Go", fault=fault, application="map"))
+    assert recent.of("map").fault == "a.koord:3: division by zero" and recent.of("map").event == ""
+    recent.round(replace(event(5), application="map"))
+    assert recent.of("map").fault == "" and recent.of("map").event_round == 5
 
 
 def test_lines_keep_their_numbers_when_older_ones_have_gone() -> None:

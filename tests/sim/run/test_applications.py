@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from koordgen.cli import main
+from targets.sim.base.scenario import BadScenario
+from targets.sim.harness import _check_windows
 from targets.sim.trace.files import read
 from targets.sim.trace.store_names import StoreNames
 from tests.sim.view.browser import CHROMIUM, Browser
@@ -178,7 +181,9 @@ def test_a_missing_functions_file_is_reported_in_its_program(
     file = fleet(tmp_path)
     (tmp_path / "quads.koord").write_text("extern fun twice(int n) -> int\n" + QUADS.replace("= done", "= twice(done)"))
     assert main(["build", file, "-o", str(tmp_path / "build")]) == 1
-    assert "quads_functions.py" in capsys.readouterr().err and not (tmp_path / "build").exists()
+    said = capsys.readouterr().err
+    assert "quads_functions.py" in said and not (tmp_path / "build").exists()
+    assert "help: write it in the folder of " in said and "--functions" not in said
 
 
 @pytest.mark.parametrize(
@@ -194,6 +199,86 @@ def test_options_of_one_program_are_refused(
 ) -> None:
     assert main(["sim", fleet(tmp_path), *options]) == 2
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_campaign_counts_the_violations_of_an_application(tmp_path: Path) -> None:
+    out = str(tmp_path / "campaign")
+    options = ["--vary", "seed=1:2", "--lockstep", "--duration", "3", "--quiet", "--out", out]
+    assert main(["campaign", fleet(tmp_path, "alice, bert"), *options]) == 3
+    found = json.loads((tmp_path / "campaign" / "campaign.json").read_text())
+    assert found["violated"] == 2 and "invariant cars.Few" in found["reasons"][0]["why"]
+
+
+ASSUMES = "  actuators: Point target\n  assume position' in Ball(target, 9)\n"
+
+
+def assuming(folder: Path, cars: str = "") -> str:
+    """Return a fleet file whose application `quads`, and `cars` with its text, have assumptions; bert runs `quads`."""
+    file = fleet(folder, "alice")
+    (folder / "quads.koord").write_text(QUADS.replace("  actuators: Point target\n", ASSUMES))
+    (folder / "cars.koord").write_text(
+        CARS.replace("  sensors: Point position\n", f"  sensors: Point position\n{cars}")
+    )
+    (folder / "fleet.yaml").write_text(
+        Path(file).read_text().replace("robots: [alice], import", "robots: [bert], import")
+    )
+    return file
+
+
+@pytest.mark.slow
+def test_assumptions_of_one_application_are_validated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    words = ["validate", assuming(tmp_path), "--samples", "2", "--seconds", "2", "--quiet", "--out", str(out)]
+    assert main([*words, "--format", "json"]) == 4
+    found = json.loads(capsys.readouterr().out)
+    assert found["program"].endswith("quads.koord") and found["fleet"].endswith("fleet.yaml")
+    (one,) = found["assumptions"]
+    assert (one["platform"], one["runs"], one["violated"]) == ("car simple", 2, 0)
+    head, *rows, _ = [json.loads(line) for line in (out / "runs/0000/windows.jsonl").read_text().splitlines()]
+    assert [r["name"] for r in head["robots"]] == ["bert"] and {row["pid"] for row in rows} == {0}
+    assert abs(rows[0]["start"][0] - 2) < 0.1 and set("".join(row["came"] for row in rows)) == {"h"}
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "status", "said"),
+    [
+        (ASSUMES, [], 2, "choose one of cars, quads with --application"),
+        ("", ["--application", "cars"], 2, "no application cars with assumptions"),
+        ("", ["--param", "x=1"], 2, "--param needs a program"),
+    ],
+)
+def test_validate_says_which_application_it_needs(
+    more: str, options: list[str], status: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["validate", assuming(tmp_path, more), "--samples", "1", *options]) == status
+    assert said in capsys.readouterr().err
+
+
+def test_an_application_is_named_only_with_a_fleet_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fleet_file = fleet(tmp_path)
+    words = ["validate", str(tmp_path / "cars.koord"), "--fleet", fleet_file, "--application", "cars"]
+    assert main(words) == 2 and "--application needs a fleet file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("names", "given", "fits"),
+    [
+        ("ab", "b", True),
+        ("", "", True),
+        ("ab", None, True),
+        ("ab", "", False),
+        ("ab", "c", False),
+        ("", "a", False),
+    ],
+)
+def test_windows_are_those_of_one_application(names: str, given: str | None, fits: bool) -> None:
+    scenario: Any = SimpleNamespace(applications=[SimpleNamespace(name=name) for name in names])
+    if fits:
+        _check_windows(scenario, given)
+    else:
+        with pytest.raises(BadScenario, match="--windows: "):
+            _check_windows(scenario, given)
 
 
 @pytest.mark.slow

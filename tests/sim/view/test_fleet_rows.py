@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from koordgen.runtime.trace.schema import Header
+from koordgen.runtime.trace.schema import ApplicationRecord, Header
 from targets.sim.view.web.dashboard import first_header
 from targets.sim.view.web.fleet_rows import FRESH, FleetRows, LatestRows, Report, completed, read_report
 
@@ -37,6 +37,29 @@ def test_lines_and_rounds_of_overlapping_reports_are_told_once() -> None:
         (9.8, 0, "Go"), (9.9, 0, "Go"), (10.0, 1, "not current"), (10.2, 1, "not current"),
     ]  # fmt: skip
     assert fleet.taken(10.3) == {}
+
+
+def test_outcomes_of_all_applications_of_a_round_are_told_once() -> None:
+    fleet, both = rows(), [{"name": "map", "members": [0, 1]}, {"name": "task", "stopped": True, "event": "End"}]
+    runs = [[1, 2, "event", "map: Go", [2.0, 3.0]], [1, 1, "skipped", "task: no event", [2.0]]]
+    fleet.add_report(0, report(outcomes=runs, applications=both), "", 10.0)
+    runs = [[1, 2, "event", "map: Go", [2.0, 3.0]], [1, 2, "skipped", "task: no event", [2.0, 3.0]]]
+    fleet.add_report(0, report(outcomes=runs, applications=both), "", 10.1)
+    told = [row[5] for row in fleet.taken(10.2)["rounds"]]
+    assert told == ["map: Go", "task: no event", "map: Go", "task: no event"]
+    map_, task = fleet.table()[0]["applications"]
+    assert (map_.name, map_.stopped, task.stopped, task.event) == ("map", False, True, "End")
+
+
+def test_the_header_gets_the_applications_that_robots_report() -> None:
+    shared = [["map.at", "allread", 1, 3], ["task.done", "allwrite", 0, []]]
+    header = completed(FLEET, report(applications=[{"name": "map", "members": [1]}], shared=shared))
+    assert header.composition == (ApplicationRecord("map", (1,), {"at": "map.at"}),)
+    more = report(applications=[{"name": "task", "members": [0]}], shared=shared)
+    both = completed(header, more)
+    assert both.applications == ("map", "task") and completed(both, more) is both
+    assert both.composition[1] == ApplicationRecord("task", (0,), {"done": "task.done"})  # type: ignore[index]
+    assert completed(FLEET, report()) is FLEET
 
 
 def test_lines_that_came_too_fast_are_counted() -> None:

@@ -45,6 +45,9 @@ HEAD = """<header id="head"><h1>{title}</h1><p id="summary">no report yet</p>{st
 <th class="n" title="99 % of all rounds are decided so soon after their tick">late (ms)</th>
 <th class="n" title="how far its clock may be off the fleet's">clock (ms)</th><th class="n">disk (GB)</th>
 <th class="n">temp (°C)</th></tr></thead><tbody id="robots"></tbody></table></div></section>
+<section id="parts" hidden><h2>Applications</h2><div class="wide"><table><thead><tr><th>robot</th><th>application</th>
+<th class="n" title="the robot's place among those that run it">pid</th><th class="n">round</th><th>last event</th>
+<th class="n">faults</th><th>state</th></tr></thead><tbody id="applications"></tbody></table></div></section>
 <section id="said"><h2>Log</h2><div class="wide scroll"><table><thead><tr><th class="n">time</th><th>robot</th>
 <th>level</th><th>line</th></tr></thead><tbody id="lines"></tbody></table></div></section>"""
 STOP = """<aside id="emergency"><div id="stopped" role="alert"></div>

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from koordgen.runtime.trace.schema import (
+    ApplicationRecord,
     EventFault,
     Header,
     LogLine,
@@ -70,6 +71,20 @@ class Computer(msgspec.Struct, frozen=True):
     temperature: float | None = None
 
 
+class ReportedApplication(msgspec.Struct, frozen=True):
+    """One of several applications of a robot: its last results (koordgen/runtime/ops/recent.py), and its counters."""
+
+    name: str
+    pid: Count = 0
+    members: tuple[Count, ...] = ()
+    stopped: bool = False
+    round: Count = 0
+    event: str = ""
+    event_round: Count = 0
+    fault: str = ""
+    counts: dict[str, int] = {}
+
+
 class Report(msgspec.Struct, frozen=True):
     """Report of an agent (koordgen/runtime/agent/process.py).
 
@@ -96,6 +111,12 @@ class Report(msgspec.Struct, frozen=True):
     late_ms: dict[str, float] = {}
     rejected: dict[str, int] = {}
     peers: dict[str, PeerQuality] = {}
+    applications: tuple[ReportedApplication, ...] = ()
+
+    def application(self, detail: str) -> str:
+        """Return the application that the detail of an outcome names; "" if the robot has only one."""
+        name = detail.partition(": ")[0]
+        return name if any(name == each.name for each in self.applications) else ""
 
     @property
     def loss(self) -> float | None:
@@ -123,7 +144,22 @@ def completed(header: Header, report: Report) -> Header:
         changes["delta"] = report.delta
     if header.geofence is None and report.geofence is not None:
         changes["geofence"] = report.geofence
+    composition = _composition(header, report, (*header.shared, *more))
+    if composition and composition != header.composition:
+        changes |= {"composition": composition, "applications": tuple([each.name for each in composition])}
     return msgspec.structs.replace(header, **changes) if changes else header
+
+
+def _composition(header: Header, report: Report, shared: tuple[SharedVariable, ...]) -> tuple[ApplicationRecord, ...]:
+    """Return the applications of the robots that have reported so far; empty if the fleet has only one."""
+    known = () if isinstance(header.composition, msgspec.UnsetType) else header.composition
+    members = {each.name: each.members for each in known} | {each.name: each.members for each in report.applications}
+
+    def own(name: str) -> dict[str, str]:
+        prefix = f"{name}."
+        return {v.name.removeprefix(prefix): v.name for v in shared if v.name.startswith(prefix)}
+
+    return tuple([ApplicationRecord(name, robots, own(name)) for name, robots in members.items()])
 
 
 @dataclass
@@ -137,7 +173,7 @@ class _RobotData:
     note: str = ""  # why the last answer is missing, or a remark on it
     silent: bool = True
     line: int = 0  # number of the last log line
-    round: int = 0  # last round whose result is known
+    rounds: dict[str, int] = field(default_factory=dict)  # application -> last round whose result is known
     phase: str = ""
     goal: tuple[Vector, ...] = ()
     posed: float = -math.inf  # time of the last pose
@@ -147,8 +183,8 @@ class _RobotData:
 
     def restart(self) -> None:
         """Reset the counters: another process of this robot reports."""
-        self.line = self.round = 0
-        self.written = {}
+        self.line = 0
+        self.rounds, self.written = {}, {}
 
 
 class FleetRows:
@@ -230,6 +266,7 @@ class FleetRows:
             "phase": report.phase, "round": report.round, "app": report.app, "release": report.release,
             "battery": report.battery, "pose": report.pose, "loss": report.loss, "host": report.host,
             "current": report.current / report.rounds if report.rounds else None, "late": report.late_ms.get("p99"),
+            "applications": report.applications,
             "violated": [each.words for each in report.monitors.violated], "properties": report.monitors.counts,
         }  # fmt: skip
 
@@ -264,15 +301,19 @@ class FleetRows:
         def when(number: int) -> float:
             return t - report.decided - (last - number) * delta
 
+        new: list[Round] = []
         for first, outcome, detail, late in runs:
+            application = report.application(detail)
             for number, late_ms in enumerate(late, first):
-                if number > known.round:
-                    known.round = number
+                if number > known.rounds.get(application, 0):
+                    known.rounds[application] = number
                     told = Round(
                         number, detail if outcome == "event" else None, detail if outcome == "skipped" else None,
                         EventFault("", 0, detail) if outcome == "fault" else None, late_ms / 1e3, pid=pid,
                     )  # fmt: skip
-                    self._rows.add(told, when(number))
+                    new.append(told)
+        for told in sorted(new, key=lambda each: each.round):  # runs of several applications overlap
+            self._rows.add(told, when(told.round))
         for name, _, number, value in report.shared:
             if number > known.written.get(name, -1):
                 known.written[name] = number

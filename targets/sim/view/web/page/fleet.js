@@ -52,6 +52,27 @@ function robotsTable() {
   $("robots").replaceChildren(...rows);
 }
 
+// State of an application: [words, class].
+function applicationState(each) {
+  if (each.stopped) return ["stopped", "dim"];
+  return each.fault ? [`holds: ${each.fault}`, "bad"] : ["runs", ""];
+}
+
+// A row for each application of each robot; hidden if the fleet has only one application.
+function applicationsTable() {
+  const rows = fleet.robots.flatMap((robot, pid) => (robot.applications || []).map((each) => {
+    const row = make("tr", undefined, isSilent(robot) ? { class: "silent" } : {}), name = make("td", undefined, { class: "p" });
+    name.append(swatch(pid), phrase(model.robots[pid].name));
+    const event = each.event ? `${each.event} (round ${each.event_round})` : "none yet", faults = each.counts.faults || 0;
+    const cells = [[each.name, "p"], [`${each.pid} of ${each.members.length}`, "n"], [String(each.round), "n"], [event, "p"],
+      [String(faults), faults ? "warn n" : "n"], applicationState(each)];
+    row.append(name, ...cells.map(([words, kind]) => make("td", words, kind ? { class: kind } : {})));
+    return row;
+  }));
+  $("parts").hidden = !rows.length;
+  $("applications").replaceChildren(...rows);
+}
+
 // One sentence on the whole fleet; what is wrong comes first.
 function summary() {
   const named = (test) => fleet.robots.map((robot, pid) => [robot, model.robots[pid].name]).filter(([robot]) => test(robot)).map(([, name]) => name);
@@ -88,6 +109,7 @@ function linesTable() {
 function showFleet() {
   for (const [pid, robot] of model.robots.entries()) robot.silent = isSilent(fleet.robots[pid]);
   robotsTable();
+  applicationsTable();
   summary();
 }
 
@@ -149,7 +171,7 @@ function holdToStop(button) {
   button.oncontextmenu = (event) => event.preventDefault(); // a long touch
 }
 
-document.querySelector(".views").after($("fleet"), $("said"));
+document.querySelector(".views").after($("fleet"), $("parts"), $("said"));
 source.addEventListener("fleet", hearFleet);
 source.addEventListener("stopped", (event) => { const { robots, by } = JSON.parse(event.data); stopTold(robots, by); });
 setInterval(() => fleet && showFleet(), 250);
