@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import Diagnostic, in_order, together
-from koordgen.lang.ir.decl import Program, own_shared
+from koordgen.lang.ir.decl import Program, is_step, own_shared
 from koordgen.lang.ir.stmt import LoopInvariant
 from koordgen.lang.ir.tree import walk
 from koordgen.lang.ir.types import POINT, RecordType, list_of
@@ -468,6 +468,7 @@ def _named(prefix: str, name: str) -> str:
 def _properties(program: Program) -> list[str]:
     """Return the names of a program's properties as `monitors` in a fleet file names them."""
     own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
+    own += [g.name for export in program.exports for g in export.guarantees if not is_step(g)]
     own += [f"assume {module.name}" for module in program.modules if module.assumptions]
     own += [f"requires {f.name}" for f in program.externs if f.requires]
     own += [f"ensures {f.name}" for f in program.externs if f.ensures]

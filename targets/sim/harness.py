@@ -274,8 +274,7 @@ def _run(
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
     windows, guide = None, None
     if plan is not None:
-        run, watcher, guide = _following(root, scenario, plan, folder, options, progress)
-        watchers = [watcher]
+        run, watchers, guide = _following(root, scenario, plan, folder, options, progress)
     else:
         run, watchers, windows = _made(root, scenario, folder, options, progress)
     given, paced = _steered(run, wrong, folder, options, view)
@@ -328,20 +327,22 @@ def _followed(guide: ReplayGuide, result: RunResult) -> int:
 
 def _following(
     root: Path, scenario: Scenario, plan: ReplayPlan, folder: Path, options: argparse.Namespace, progress: Progress
-) -> tuple[Run, Watcher, ReplayGuide]:
-    """Return the run, its watcher and its guide, for a run that replays a plan."""
+) -> tuple[Run, list[Watcher], ReplayGuide]:
+    """Return the run, its watchers and its guide, for a run that replays a plan."""
     from targets.sim.follow.conduct import ReplayLockstep
     from targets.sim.follow.guide import ReplayGuide
     from targets.sim.judging import watch
     from targets.sim.run.run import Run
 
-    properties = watch.load(root, [served for served, _, _ in scenario.drivers])
-    watcher = watch.Watcher(properties, tuple(robot.name for robot in scenario.robots), scenario.delta)
+    robots = tuple(robot.name for robot in scenario.robots)
+    applications = watch.load_fleet(root, len(robots), [served for served, _, _ in scenario.drivers])
+    watchers = [watch.Watcher(a.properties, robots, scenario.delta, None, a) for a in applications]
     shutil.copytree(root / SOURCE, folder / SOURCE)
-    guide = ReplayGuide(plan, scenario.robots, scenario.delta, properties.measured)
+    measured = {name for application in applications for name in application.properties.measured}
+    guide = ReplayGuide(plan, scenario.robots, scenario.delta, measured, applications[0].fleet)
     run = Run(scenario, ReplayLockstep(scenario, root, folder, options.seed, guide), folder, options.duration, progress)
-    run.companions += [watcher, guide]
-    return run, watcher, guide
+    run.companions += [*watchers, guide]
+    return run, watchers, guide
 
 
 def _made(

@@ -1,4 +1,4 @@
-"""IR program -> text of `properties.py`: properties and port assumptions as Python functions.
+"""IR program -> text of `properties.py`: properties, guarantees and port assumptions as Python functions.
 
 The module imports records, params and functions from `program.py`. Meaning of formulas:
 koordgen/lang/semantics/property.py.
@@ -7,6 +7,7 @@ koordgen/lang/semantics/property.py.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import Any, cast
 
 from koordgen import __version__
 from koordgen.build.emit import expr, library, screening
@@ -16,13 +17,13 @@ from koordgen.build.emit.program import add_callable, add_imports, add_notes, ad
 from koordgen.build.emit.types import annotation
 from koordgen.lang.ir import decl as ir
 from koordgen.lang.ir import expr as e
-from koordgen.lang.ir.tree import walk
+from koordgen.lang.ir.tree import transform, walk
 from koordgen.lang.ir.types import POINT, POSE, Type
+from koordgen.lang.node import Node
 
 # Sensors with their types that a harness can measure itself, besides the position. The robot reports all others.
 _MEASURED = {"velocity": POINT, "pose": POSE}
 _AXIOM = "an axiom is assumed"
-_GUARANTEE = "a guarantee is proved, and no run judges it"
 _NOTES = '# As in program.py. Where a line says "discards the event", a formula has no value:'
 
 
@@ -35,6 +36,7 @@ class _Names(Names):
     def __init__(self, program: ir.Program) -> None:
         super().__init__(program)
         self.sensors = set()
+        self.shared |= {_after(v.name): self._mint(f"shared_{v.name}_after") for v in _compared(program)}
 
     def function(self, wanted: str) -> str:
         """Return a new name for the function of a formula."""
@@ -60,24 +62,30 @@ def properties_text(program: ir.Program, driven: Collection[str] = (), module: s
     page = Page()
     places = [(m, a) for m in program.modules for a in m.assumptions]
     checked = [p for p in program.properties if not _unchecked(p, program)]
+    guarantees = [(export.variable, g) for export in program.exports for g in export.guarantees]
+    kept = [(variable, g) for variable, g in guarantees if not _specs(g.formula, program)]
     meant = [(m, a) for m, a in places if not _specs(a.formula, program)]
-    if checked:
+    if checked or kept:
         _add_fleet(page, program, names)
     if meant:
         _add_step(page, program, names)
     properties = [_property(page, p, program, names) for p in checked]
+    properties += [_guarantee(page, variable, g, program, names) for variable, g in kept]
     assumptions = [_assumption(page, m, a, program, names) for m, a in meant]
     left = [
         _left(p.kind, p.name, p.span.line, why, names) for p in program.properties if (why := _unchecked(p, program))
     ]
     left += [_left("assume", m.name, a.span.line, why, names) for m, a in places if (why := _specs(a.formula, program))]
-    for guarantee in [g for export in program.exports for g in export.guarantees]:
-        left.append(_left("guarantee", guarantee.name, guarantee.span.line, _GUARANTEE, names))
+    left += [
+        _left("guarantee", g.name, g.span.line, why, names)
+        for _, g in guarantees
+        if (why := _specs(g.formula, program))
+    ]
     page.gap(2 if page.lines else 1)
     known = names.use("Known")
     page.add(f"PROPERTIES = {names.use('Properties')}(")
     page.add(f"program={names.use('PROGRAM')},", STEP)
-    page.add(f"fleet={'Fleet' if checked else known},", STEP)
+    page.add(f"fleet={'Fleet' if checked or kept else known},", STEP)
     page.add(f"step={'Step' if meant else known},", STEP)
     add_table(page, "properties", properties)
     add_table(page, "assumptions", assumptions)
@@ -134,6 +142,53 @@ def _property(page: Page, property_: ir.Property, program: ir.Program, names: _N
         *_screening(page, function, enough, names),
     ]
     return brackets(f"{names.use('Property')}(", arguments, ")"), 0
+
+
+def _guarantee(
+    page: Page, variable: str, guarantee: ir.Guarantee, program: ir.Program, names: _Names
+) -> tuple[str, int]:
+    """Add the function of a guarantee. Return the guarantee's entry for `PROPERTIES`, and 0 as its line.
+
+    The formula reads the exported variable. The value after a write is a variable whose name has a prime.
+    """
+    line, name = guarantee.span.line, guarantee.name
+    formula = _of_variable(variable, guarantee, program)
+    function = names.function(f"guarantee_{snake(name)}")
+    _add_function(page, function, ["s: Fleet"], f"guarantee {name}, {program.path}:{line}", expr.text(formula, names))
+    arguments = [
+        'kind="guarantee"',
+        f"name={expr.literal(name)}",
+        f"line={line}",
+        f"holds={function}",
+        joined("reads=", _display(_reads(formula))),
+    ]
+    return brackets(f"{names.use('Property')}(", arguments, ")"), 0
+
+
+def _of_variable(variable: str, guarantee: ir.Guarantee, program: ir.Program) -> e.Expr:
+    """Return the formula of a guarantee as one of shared variables: the exported one, and the one after a write."""
+    is_slots = next(v for v in program.shared if v.name == variable).kind == "allread"
+    read = {guarantee.before: variable, guarantee.after: _after(variable)}
+
+    def replaced(node: Any) -> Node:
+        found: Node = node
+        if isinstance(node, e.TempRead) and node.name in read:
+            kind = e.SlotsRead if is_slots else e.SharedRead
+            found = kind(read[node.name], node.type, node.span)
+        return found
+
+    return cast("e.Expr", transform(guarantee.formula, replaced))
+
+
+def _after(variable: str) -> str:
+    """Return the name of an exported variable's value after a write."""
+    return f"{variable}'"
+
+
+def _compared(program: ir.Program) -> list[ir.Shared]:
+    """Return the variables with a guarantee about the value after a write."""
+    names = {export.variable for export in program.exports if any(map(ir.is_step, export.guarantees))}
+    return [v for v in program.shared if v.name in names]
 
 
 def _assumption(
@@ -214,6 +269,9 @@ def _add_fleet(page: Page, program: ir.Program, names: Names) -> None:
     for v in program.shared:
         kind = "Each" if v.kind == "allread" else "One"
         _add_part(page, names.shared[v.name], kind, v.type, v.name, names)
+    for v in _compared(program):
+        kind = "Each" if v.kind == "allread" else "One"
+        _add_part(page, names.shared[_after(v.name)], kind, v.type, _after(v.name), names)
     for w in program.locals:
         _add_part(page, names.locals[w.name], "Each", w.type, w.name, names)
 

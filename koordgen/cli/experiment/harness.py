@@ -33,9 +33,6 @@ def harness(options: Namespace) -> int:
     """Build a simulation bundle, run it, and return the exit status of the run.
 
     Without a fleet file, one robot runs alone. Raises Failure."""
-    if is_fleet(options.program) and options.follow is not None:
-        message = f"--follow needs a program, but {options.program} is a fleet file"
-        raise console.Failure(console.USAGE, message, "a counterexample of several applications cannot be run yet")
     if options.fleet is not None or is_fleet(options.program):
         return _harness(options)
     if options.follow is not None:

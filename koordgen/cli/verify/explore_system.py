@@ -9,7 +9,9 @@ from argparse import Namespace
 from collections.abc import Mapping
 from pathlib import Path
 
+from koordgen.build.bundle.functions import functions_file
 from koordgen.build.emit.program import functions_module
+from koordgen.build.emit.system import system_hash, with_sizes
 from koordgen.build.pipeline import CheckedSystem, check_system
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import USAGE, WRONG, Failure, print_diagnostics
@@ -64,7 +66,8 @@ def explore_system(options: Namespace) -> int:
         sys.stdout.write(coloured_verdicts(report(result, system, options.program, names), sys.stdout))
         sys.stdout.flush()
     if result.violation is not None and options.trace:
-        save(options.trace, trace(result.violation, system, names, _origins(options.program, checked, around)))
+        hashed, _ = hash_of_system(checked, options.program)
+        save(options.trace, trace(result.violation, system, names, _origins(options.program, checked, around, hashed)))
     if result.violation is not None and options.itf:
         save(options.itf, itf(result.violation, system, names))
     return status(result.violation is not None, result.stopped)
@@ -103,11 +106,11 @@ def _search(options: Namespace, checked: CheckedSystem, around: Environment) -> 
         line.end()
 
 
-def _origins(fleet_path: str, checked: CheckedSystem, around: Environment) -> list[RunOrigin]:
-    """Return the answers of ports and extern functions of each application."""
+def _origins(fleet_path: str, checked: CheckedSystem, around: Environment, hashed: str) -> list[RunOrigin]:
+    """Return for each application the hash of the system, answers of ports and extern functions."""
     given, files = answers(checked.system, around), _functions(fleet_path, checked)
     return [
-        RunOrigin(answers=answer, externs=externs(application.program, file))
+        RunOrigin(hashed, answers=answer, externs=externs(application.program, file))
         for application, answer, file in zip(checked.system.applications, given, files, strict=True)
     ]
 
@@ -119,3 +122,17 @@ def _functions(fleet_path: str, checked: CheckedSystem) -> list[Path]:
         (folder / settings.program).with_name(f"{functions_module(application.program)}.py")
         for settings, application in zip(checked.fleet.applications, system.applications, strict=True)
     ]
+
+
+def hash_of_system(checked: CheckedSystem, fleet_path: str) -> tuple[str, list[Path | None]]:
+    """Return the hash that the bundles of a fleet have, and the file of extern functions of each application."""
+    programs = [application.program for application in checked.system.applications]
+    files = [
+        file if functions_file(program, file.parent, None) else None
+        for program, file in zip(programs, _functions(fleet_path, checked), strict=True)
+    ]
+    return system_hash(with_sizes(checked.system), list(map(_content, files))), files
+
+
+def _content(file: Path | None) -> bytes:
+    return file.read_bytes() if file is not None and file.is_file() else b""

@@ -1,8 +1,9 @@
 """Monitors of one robot: evaluate invariants, port assumptions and contracts on the values that the robot knows.
 
-An invariant is evaluated at the start of a round, on committed values of one time: the robot's own sensors and
-variables, and its copy of the shared variables. Ports and local variables of other robots are unknown. A port
-assumption is evaluated on a step: from the state after a round's event to the sensor values of the next round."""
+An invariant, or a guarantee about one state, is evaluated at the start of a round, on committed values of one time: the
+robot's own sensors and variables, and its copy of the shared variables. Ports and local variables of other robots are
+unknown. A port assumption is evaluated on a step: from the state after a round's event to the sensor values of the next
+round."""
 
 from __future__ import annotations
 
@@ -87,11 +88,11 @@ class Monitors:
         place = {p.name: SENSED for p in program.ports if p.direction == "sensor"}
         place |= {v.name: SHARED for v in program.shared}
         for p in found.properties:
-            if p.kind == "invariant" and (action := self._action(p.name)) != "off":
+            if p.kind != "initially" and not p.is_step and (action := self._action(p.name)) != "off":
                 places = [place.get(name, OWN) for name in p.reads]
                 reads, needs, senses = frozenset(p.reads), max(places, default=SENSED), SENSED in places
                 line = f"{program.source}:{p.line}"
-                self._invariants.append(MonitoredProperty("invariant", p.name, line, action, p, reads, needs, senses))
+                self._invariants.append(MonitoredProperty(p.kind, p.name, line, action, p, reads, needs, senses))
         for a in found.assumptions:
             if (action := self._action(f"assume {a.module}")) != "off":
                 self._assumptions.append(

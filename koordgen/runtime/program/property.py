@@ -204,17 +204,23 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Property:
-    """Invariant or `initially` property of a program.
+    """Invariant or `initially` property of a program, or guarantee of a variable that it exports.
 
-    `reads`: names of the ports, local variables and shared variables that the formula reads. `screening`: a
-    vectorised sufficient condition on arrays of many observations; None if the property has none."""
+    `reads`: names of the ports, local variables and shared variables that the formula reads. A guarantee also reads the
+    variable's value after a write, under the variable's name with a prime. `screening`: a vectorised sufficient
+    condition on arrays of many observations; None if the property has none."""
 
-    kind: Literal["initially", "invariant"]
+    kind: Literal["initially", "invariant", "guarantee"]
     name: str
     line: int
     holds: Callable[[Any], bool]
     reads: tuple[str, ...]
     screening: Callable[[Any], Any] | None = None
+
+    @property
+    def is_step(self) -> bool:
+        """True of a guarantee that compares the values before and after a write."""
+        return self.kind == "guarantee" and any(name.endswith("'") for name in self.reads)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from koordgen.runtime.config.settings import Action
 from koordgen.runtime.program.property import UNKNOWN, Assumption, Known, Outcome, Property
 from koordgen.runtime.values.points import transmissible
 
-Of = Literal["invariant", "assume", "requires", "ensures", "loop invariant"]
+Of = Literal["invariant", "guarantee", "assume", "requires", "ensures", "loop invariant"]
 FOR_GOOD = ("land", "stop")
 
 # Parts of an observation that are committed. SENSED: sensor values; OWN: also the robot's own variables; SHARED: also

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
@@ -60,9 +61,17 @@ class ReplayAgent(LockstepAgent):
         return self._machine.round if self._machine is not None else 0
 
     def _loaded(self) -> tuple[LoadedPrograms, Drivers]:
-        (program, properties), _ = super()._loaded()
-        assert isinstance(program, Program) and isinstance(properties, Properties), "a plan has one application"
-        return (self._guide.program(program, self.robot.pid, self._round), properties), {}
+        (programs, properties), _ = super()._loaded()
+        if isinstance(programs, Program):
+            assert isinstance(properties, Properties)
+            return (self._guide.program(programs, self.robot.pid, self._round), properties), {}
+        assert not isinstance(properties, Properties)
+        applications = list(programs.applications)
+        for instance in programs.of_robot(self.robot.pid):
+            own = applications[instance.application]
+            guided = self._guide.program(own.program, instance.number, self._round)
+            applications[instance.application] = replace(own, program=guided)
+        return (replace(programs, applications=tuple(applications)), properties), {}
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         return ReplayPlatform(self._guide, self.robot.pid, program, self._round)
@@ -114,7 +123,7 @@ class PlacedScene(SimulationScene):
 
     def step(self, at: float) -> list[BodyState]:
         """See SimulationScene."""
-        states = [self._guide.body(pid, at) for pid in range(len(self.actors))]
+        states = [self._guide.body(robot, at) for robot in range(len(self.actors))]
         self.watch.look(at, [state.position for state in states])
         return states
 

@@ -1,17 +1,19 @@
 """Guide of a replayed counterexample: feeds the plan to the agents and compares their rounds with it.
 
-The plan determines what sensors and planners answer, which event each robot tries, and where bodies are."""
+The plan determines what sensors and planners answer, which event each instance tries, and where bodies are. An instance
+is an application on a robot; see FleetProgram."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
 import msgspec
 
+from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Event, Port, Program, Slots, Stopped, Transaction, Variable
 from koordgen.runtime.trace.schema import Cause, Violation
 from koordgen.runtime.trace.writer import RoundRecord
@@ -19,11 +21,12 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Sensed
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.scenario import Robot
-from targets.sim.follow.plan import ReplayPlan, Values
+from targets.sim.follow.plan import FleetState, ReplayPlan, Values
 from targets.sim.follow.plan import Round as Planned
 from targets.sim.physics.world import STEP
 from targets.sim.run.run import Run, RunResult
 from targets.sim.run.run_interface import AgentHandle
+from targets.sim.trace.store_names import qualified_name
 
 IDLE = "no event enabled"
 EARLY = 0.01  # share of a round by which a robot's clock may be ahead of the start of its round
@@ -35,18 +38,36 @@ _encode = msgspec.json.Encoder(enc_hook=repr).encode
 class ReplayGuide:
     """Companion of a run that replays a plan. `measured` names the sensors that measure bodies."""
 
-    def __init__(self, plan: ReplayPlan, robots: tuple[Robot, ...], delta: float, measured: tuple[str, ...]) -> None:
+    def __init__(
+        self, plan: ReplayPlan, robots: tuple[Robot, ...], delta: float, measured: Collection[str], fleet: FleetProgram
+    ) -> None:
         self.plan, self.delta = plan, delta
-        self._robots, self._measured = robots, measured
+        self._robots, self._measured, self._fleet = robots, measured, fleet
+        self._numbers = {(fleet.applications[i.application].name, i.robot): i.number for i in fleet.instances}
+        self._views = [dict(fleet.views(index)) for index in range(len(fleet.applications))]
         self._zero: float | None = None  # time at which round 1 began
-        self._differences: list[tuple[int, int, str]] = []  # (round, pid, difference)
-        self._seen = [0] * len(robots)  # by pid: the last round that the robot recorded
+        self._differences: list[tuple[int, int, str]] = []  # (round, instance, difference)
+        self._seen = [0] * len(fleet.instances)  # by instance: the last round that it recorded
         self._discarded = False  # true once the event without a result was discarded
 
     def launched(self, run: Run) -> None:
         self._run = run
-        for pid, agent in enumerate(run.conduct.agents):
-            agent.monitors.append(lambda record, pid=pid: self.observe(pid, record))  # type: ignore[misc]
+        for robot, agent in enumerate(run.conduct.agents):
+            agent.monitors.append(lambda record, robot=robot: self.observe(robot, record))  # type: ignore[misc]
+
+    def _number(self, robot: int, application: str) -> int:
+        """Return the number of an instance. `application`: "" if the fleet has only one."""
+        return self._numbers[application or self._fleet.applications[0].name, robot]
+
+    def _robot(self, number: int) -> Robot:
+        return self._robots[self._fleet.instances[number].robot]
+
+    def _named(self, number: int) -> str:
+        """Return robot and application of an instance, for messages; with one application only the robot."""
+        name = self._robot(number).name
+        if not self._fleet.is_composed:
+            return name
+        return f"{self._fleet.applications[self._fleet.instances[number].application].name} on {name}"
 
     def step(self, at: float, states: list[BodyState]) -> None:
         """See Companion."""
@@ -58,8 +79,8 @@ class ReplayGuide:
         """Mark in the trace which round of the counterexample each round of the agents replays."""
         for number, each in enumerate(self.plan.rounds):
             if each.events:
-                names = tuple(self._robots[pid].name for pid in each.events)
-                does = ", ".join(f"{event} of {self._robots[pid].name}" for pid, event in each.events.items())
+                names = tuple(dict.fromkeys(self._robot(number).name for number in each.events))
+                does = ", ".join(f"{event} of {self._named(number)}" for number, event in each.events.items())
                 begins = (self._zero or 0.0) + number * self.delta
                 detail = f"agents' round {number + 1} is of {self._place(each)}: {does}"
                 self._run.mark(Cause(begins, "follow", names, detail))
@@ -78,18 +99,18 @@ class ReplayGuide:
             return 0
         return max(0, min(math.floor((now - self._zero + early) / self.delta), len(self.plan.rounds) - 1))
 
-    def ports(self, pid: int, now: float) -> Values:
+    def ports(self, robot: int, now: float) -> Values:
         """Return the values of a robot's ports at a time, in JSON."""
-        return self.plan.rounds[self._index(now, EARLY * self.delta)].state.ports[pid]
+        return self.plan.rounds[self._index(now, EARLY * self.delta)].state.ports[robot]
 
-    def body(self, pid: int, at: float) -> BodyState:
+    def body(self, robot: int, at: float) -> BodyState:
         """Return the state of a body at a step of the world.
 
         From the last step of a round on, the body is where the next round has it."""
-        ports = self.plan.rounds[self._index(at, STEP + BEFORE)].state.ports[pid]
-        start = self._robots[pid].start
+        ports = self.plan.rounds[self._index(at, STEP + BEFORE)].state.ports[robot]
+        start = self._robots[robot].start
         position, velocity, yaw = start.position, (0.0, 0.0, 0.0), start.yaw
-        for name in self._measured:
+        for name in [name for name in self._measured if name in ports]:
             match name.rpartition(".")[2]:
                 case "position":
                     position = tuple(ports[name])
@@ -100,26 +121,27 @@ class ReplayGuide:
                     position = tuple(place)
         return BodyState(position, velocity, yaw, 0.0)
 
-    def program(self, program: Program, pid: int, round_: Callable[[], int]) -> Program:
-        """Return the robot's program, restricted to the plan's event. `round_` returns the present round."""
-        events = tuple([replace(event, guard=self._forced(event, pid, round_)) for event in program.events])
-        init = program.init if self.plan.initial else self._given(program, pid)
+    def program(self, program: Program, number: int, round_: Callable[[], int]) -> Program:
+        """Return the program of an instance, restricted to the plan's event. `round_` returns the present round."""
+        events = tuple([replace(event, guard=self._forced(event, number, round_)) for event in program.events])
+        init = program.init if self.plan.initial else self._given(program, number)
         return replace(program, events=events, init=init)
 
-    def _forced(self, event: Event, pid: int, round_: Callable[[], int]) -> Callable[[Any], bool]:
+    def _forced(self, event: Event, instance: int, round_: Callable[[], int]) -> Callable[[Any], bool]:
         def guard(state: Any) -> bool:
             number = round_()
             if number > len(self.plan.rounds):
                 return False
             each = self.plan.rounds[number - 1]
-            return (each.free or each.events.get(pid) == event.name) and event.guard(state)
+            return (each.free or each.events.get(instance) == event.name) and event.guard(state)
 
         return guard
 
-    def _given(self, program: Program, pid: int) -> Callable[[Any], None]:
+    def _given(self, program: Program, number: int) -> Callable[[Any], None]:
         """Return a replacement of `init` that writes the first round's state."""
-        state = self.plan.rounds[0].state
-        values = {**state.locals[pid], **state.shared, **state.ports[pid]}
+        state, instance = self.plan.rounds[0].state, self._fleet.instances[number]
+        pid, shared = instance.pid, self._shared(state, instance.application)
+        values = {**state.locals[number], **shared, **state.ports[instance.robot]}
         slots = {v.name for v in program.shared if v.kind == "allread"}
         typed: tuple[Variable | Port, ...] = (*program.locals, *program.shared, *program.ports)
         types = {each.name: each.type for each in typed}
@@ -132,43 +154,51 @@ class ReplayGuide:
                     place.own = made
                 else:
                     place.value = made
-            if state.stopped[pid]:
+            if state.stopped[number]:
                 raise Stopped
 
         return init
 
-    def answer(self, pid: int, round_: int, port: str, args: tuple[Any, ...]) -> Any:
-        """Return the answer of a callable port, in JSON. Raises LookupError if the plan has none."""
+    def _shared(self, state: FleetState, application: int) -> Values:
+        """Return the shared variables of a state under the names of an application's program."""
+        return {name: state.shared[stored] for name, stored in self._views[application].items()}
+
+    def answer(self, robot: int, round_: int, port: str, args: tuple[Any, ...]) -> Any:
+        """Return the answer of a robot's callable port, in JSON. Raises LookupError if the plan has none."""
         calls = self.plan.calls if round_ < 1 else self.plan.rounds[min(round_, len(self.plan.rounds)) - 1].calls
-        for name, asked, said in calls.get(pid, ()):
-            if name == port and asked == _plain(args):
-                return said
+        for instance in self._fleet.of_robot(robot):
+            for name, asked, said in calls.get(instance.number, ()):
+                if name == port and asked == _plain(args):
+                    return said
         raise LookupError(f"{port} was not called with these arguments in the trace")
 
-    def observe(self, pid: int, record: RoundRecord) -> None:
-        """Compare a round, as the agent's own record has it, with the plan."""
-        self._seen[pid] = max(self._seen[pid], record.round)
+    def observe(self, robot: int, record: RoundRecord) -> None:
+        """Compare a round of an instance, as the agent's own record has it, with the plan."""
+        number = self._number(robot, record.application)
+        self._seen[number] = max(self._seen[number], record.round)
         if record.round > len(self.plan.rounds):
             return
-        why = self._difference(pid, record, self.plan.rounds[record.round - 1])
+        why = self._difference(number, record, self.plan.rounds[record.round - 1])
         if why:
-            self._differences.append((record.round, pid, why))
+            self._differences.append((record.round, number, why))
 
-    def _difference(self, pid: int, record: RoundRecord, each: Planned) -> str:
-        state, wanted, ending = each.state, each.events.get(pid), self.plan.ending
-        if state.stopped[pid]:
+    def _difference(self, number: int, record: RoundRecord, each: Planned) -> str:
+        state, wanted, ending = each.state, each.events.get(number), self.plan.ending
+        instance = self._fleet.instances[number]
+        if state.stopped[number]:
             return "" if record.skipped == "stopped" else "it has not stopped, as it has in the trace"
         frame = record.frame
         if frame is None:
             return f"it skipped the round: {record.skipped}"
-        groups = {"locals": (frame.locals, state.locals[pid]), "shared": (frame.shared, state.shared)}
-        groups["ports"] = ({**frame.sensors, **frame.actuators}, state.ports[pid])
-        for told, meant in groups.values():
+        ports = {**frame.sensors, **frame.actuators}
+        shared = self._shared(state, instance.application)
+        groups = ((frame.locals, state.locals[number]), (frame.shared, shared), (ports, state.ports[instance.robot]))
+        for told, meant in groups:
             for name, value in told.items():
                 if _plain(value) != meant[name]:
                     return f"{name} is {_plain(value)!r} when the round begins, {meant[name]!r} in the trace"
         if record.fault is not None:
-            named = ending is not None and (ending.pid, record.event or wanted) == (pid, ending.event)
+            named = ending is not None and (ending.instance, record.event or wanted) == (number, ending.event)
             if named and record.round == self.plan.found:
                 self._discarded = True
                 return ""
@@ -183,17 +213,18 @@ class ReplayGuide:
         """Return exit status and message of a run that came to its end."""
         plan, ending = self.plan, self.plan.ending
         if ending is not None and ending.event == "init" and not result.started:
-            self._discarded = "(in init)" in self._run.conduct.agents[ending.pid].last_error
+            robot = self._fleet.instances[ending.instance].robot
+            self._discarded = "(in init)" in self._run.conduct.agents[robot].last_error
             return self._result(result, self._shown(result))
-        late = [pid for pid, seen in enumerate(self._seen) if seen < len(plan.rounds)]
+        late = [number for number, seen in enumerate(self._seen) if seen < len(plan.rounds)]
         if not self._differences and late:
-            pid = late[0]
-            self._differences.append((self._seen[pid] + 1, pid, "the agent did not reach this round"))
+            number = late[0]
+            self._differences.append((self._seen[number] + 1, number, "the agent did not reach this round"))
         if self._differences:
-            number, pid, why = min(self._differences)
-            each = plan.rounds[number - 1]
-            where = f"{plan.trace}:{each.line}: round {each.of}, robot {pid} ({self._robots[pid].name})"
-            return DIFFERS, f"{where}: {why} (round {number} of the agents)"
+            round_, number, why = min(self._differences)
+            each, robot = plan.rounds[round_ - 1], self._fleet.instances[number].robot
+            where = f"{plan.trace}:{each.line}: round {each.of}, robot {robot} ({self._named(number)})"
+            return DIFFERS, f"{where}: {why} (round {round_} of the agents)"
         return self._result(result, self._shown(result))
 
     def _result(self, result: RunResult, shown: str) -> tuple[int, str]:
@@ -205,7 +236,13 @@ class ReplayGuide:
             return HELD, prefix + (cut or "; it has no violation")
         if shown:
             return VIOLATED, f"{prefix}; {shown}"
-        return DIFFERS, f"{plan.trace}: the trace ends with {ending.name}: {ending.detail}; {self._missed(result)}"
+        missed = f"the trace ends with {self._property()}: {ending.detail}; {self._missed(result)}"
+        return DIFFERS, f"{plan.trace}: {missed}"
+
+    def _property(self) -> str:
+        """Return the name of the violated property, with that of its application if there are several."""
+        ending = self.plan.ending
+        return "" if ending is None else qualified_name(ending.application, ending.name)
 
     def _shown(self, result: RunResult) -> str:
         """Return how the run confirms the trace's violation; "" if it does not."""
@@ -213,8 +250,8 @@ class ReplayGuide:
         if ending is None:
             return ""
         if ending.event:
-            name = self._robots[ending.pid].name
-            return f"{ending.event} of {name} has no result, as in the trace" if self._discarded else ""
+            named = self._named(ending.instance)
+            return f"{ending.event} of {named} has no result, as in the trace" if self._discarded else ""
         if ending.name == "(deadlock)":
             return "no event is enabled any more, as in the trace"
         found = self._violation(result)
@@ -222,11 +259,12 @@ class ReplayGuide:
         early = -math.inf if not self.plan.found else -2 * STEP - BEFORE  # robots run `init` before round 1
         if found is None or not early <= found.t - max(0.0, due) <= STEP:
             return ""
-        return f"{ending.name} is violated after the same round as in the trace"
+        return f"{self._property()} is violated after the same round as in the trace"
 
     def _violation(self, result: RunResult) -> Violation | None:
-        name = self.plan.ending.name if self.plan.ending else ""
-        return next((v for v in result.violations if v.what == "property" and v.name == name), None)
+        ending = self.plan.ending
+        wanted = ("property", ending.name, ending.application) if ending else ()
+        return next((v for v in result.violations if (v.what, v.name, v.application) == wanted), None)
 
     def _missed(self, result: RunResult) -> str:
         found = self._violation(result)
@@ -238,20 +276,20 @@ class ReplayPlatform:
 
     period = 0.05
 
-    def __init__(self, guide: ReplayGuide, pid: int, program: Program, round_: Callable[[], int]) -> None:
-        self._guide, self._pid, self._round = guide, pid, round_
+    def __init__(self, guide: ReplayGuide, robot: int, program: Program, round_: Callable[[], int]) -> None:
+        self._guide, self._robot, self._round = guide, robot, round_
         self._types = {p.name: p.type for p in program.ports if p.direction == "sensor"}
         self._answers = {p.name: p.type for p in program.ports if p.direction == "callable"}
         self.ready, self.stopped, self.progress, self.stall = True, False, "", ""
 
     def sense(self, now: float) -> Sensed:
         """See Platform."""
-        ports = self._guide.ports(self._pid, now)
+        ports = self._guide.ports(self._robot, now)
         return Sensed({n: msgspec.json.decode(_encode(ports[n]), type=t) for n, t in self._types.items()}, now)
 
     def call(self, port: str, args: tuple[Any, ...]) -> Any:
         """See Platform."""
-        said = self._guide.answer(self._pid, self._round(), port, args)
+        said = self._guide.answer(self._robot, self._round(), port, args)
         return msgspec.json.decode(_encode(said), type=self._answers[port])
 
     def stop(self, now: float) -> None:

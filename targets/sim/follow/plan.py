@@ -1,4 +1,6 @@
-"""Plan of a run that replays a counterexample, as koordgen/verify/follow/plan.py writes it."""
+"""Plan of a run that replays a counterexample, as koordgen/verify/follow/plan.py writes it.
+
+Instances have their numbers in FleetProgram: with one application on all robots, the pids of the robots."""
 
 from __future__ import annotations
 
@@ -11,14 +13,14 @@ import msgspec
 from targets.sim.base.scenario import BadScenario
 
 Values = dict[str, Any]  # by name, in JSON
-Calls = dict[int, list[tuple[str, list[Any], Any]]]  # by pid: port, arguments, answer
+Calls = dict[int, list[tuple[str, list[Any], Any]]]  # by instance: port, arguments, answer
 
 
 class FleetState(msgspec.Struct, frozen=True):
     """State of a fleet at a round's start.
 
-    By robot: locals, ports ("Module.port"), and whether it has stopped. `shared`: the shared store; an allread variable
-    has its values by pid."""
+    By instance: locals, and whether it has stopped. By robot: ports ("Module.port"). `shared`: the shared store, by the
+    names of the store; an allread variable has its values by the pids of its application."""
 
     locals: list[Values]
     ports: list[Values]
@@ -29,7 +31,7 @@ class FleetState(msgspec.Struct, frozen=True):
 class Round(msgspec.Struct, frozen=True):
     """A round of the agents, which is part of the trace's round `of`; `line` is its line in the trace.
 
-    `events` by pid; a robot without one skips the round. `free`: each robot may execute any enabled event."""
+    `events` by instance; an instance without one skips the round. `free`: each may execute any enabled event."""
 
     of: int
     line: int
@@ -40,13 +42,16 @@ class Round(msgspec.Struct, frozen=True):
 
 
 class Ending(msgspec.Struct, frozen=True):
-    """Violation at the trace's end. If `event` is set, the event of robot `pid` has no result."""
+    """Violation at the trace's end. If `event` is set, this event of an instance has no result.
+
+    `application`: the application that has the property; "" if the fleet has only one."""
 
     name: str
     line: str
     detail: str
-    pid: int = -1
+    instance: int = -1
     event: str = ""
+    application: str = ""
 
 
 class ReplayPlan(msgspec.Struct, frozen=True):
@@ -72,14 +77,14 @@ class ReplayPlan(msgspec.Struct, frozen=True):
         return "run" if self.initial else "step"
 
 
-def load(path: Path, program_hash: str, n_sys: int) -> ReplayPlan:
-    """Read a plan and check that it fits the program and the number of robots. Raises BadScenario."""
+def load(path: Path, program_hash: str, robots: int) -> ReplayPlan:
+    """Read a plan and check that it fits the programs and the number of robots. Raises BadScenario."""
     try:
         plan = msgspec.convert(json.loads(path.read_text(encoding="utf-8")), ReplayPlan, strict=False)
     except (OSError, ValueError, RecursionError, msgspec.ValidationError) as error:
         told = getattr(error, "strerror", None) or error
         raise BadScenario(f"{path}: {told}", "create the file with `koordgen sim --follow TRACE`") from None
-    if plan.program_hash != program_hash or any(len(each.state.stopped) != n_sys for each in plan.rounds):
+    if plan.program_hash != program_hash or any(len(each.state.ports) != robots for each in plan.rounds):
         raise BadScenario(
             f"{path}: the plan is for another program or fleet", "create it again with `koordgen sim --follow TRACE`"
         )

@@ -11,7 +11,7 @@ from koordgen.runtime.program.property import Assumption, Known, Outcome, Proper
 from koordgen.runtime.trace.schema import Found, Verdict, Violation
 from targets.sim.trace.store_names import qualified_name
 
-Of = Literal["invariant", "initially", "assume"]
+Of = Literal["invariant", "guarantee", "initially", "assume"]
 
 
 @dataclass(slots=True)
@@ -42,16 +42,22 @@ class JudgedProperty:
         return self.outcome is not None
 
     @property
+    def is_step(self) -> bool:
+        """True of a guarantee that compares the values before and after a write."""
+        return isinstance(self.what, Property) and self.what.is_step
+
+    @property
     def screening(self) -> Callable[[Any], Any] | None:
         return self.what.screening
 
     def note(
-        self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], lost: bool
-    ) -> Violation | None:
+        self, outcome: Outcome, at: float, why: str, known: Known, names: tuple[str, ...], lost: bool,
+        by: str = "", writers: tuple[str, ...] = (),
+    ) -> Violation | None:  # fmt: skip
         """Record the outcome of an observation. Return a violation the first time the property does not hold.
 
         `lost`: a robot was out of the model. The violation names the robots that made the property false, and the
-        values read."""
+        values read. `by`, `writers`: the step that made a guarantee false, as text, and its robot."""
         if outcome == "unknown":
             self.unknown += 1
             self.detail = self.detail or why
@@ -70,6 +76,8 @@ class JudgedProperty:
         judged(holds, again)
         self.at, self.outcome = at, outcome
         self.robots, self.detail = evidence(trail, names, why, known.pid)
+        if by:
+            self.robots, self.detail = writers, "; ".join(filter(None, (self.detail, by)))
         word = " ".join(filter(None, (self.of, qualified_name(self.application, self.name))))
         verb = "has no value" if why else "does not hold"
         text = f"{word} {verb}: {self.detail}" if self.detail else f"{word} {verb}"

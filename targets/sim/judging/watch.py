@@ -1,7 +1,8 @@
 """Watcher: judges the properties of an application over the true states of a run.
 
-Invariants must hold at every observation, port assumptions over each round of each robot. After a robot has left the
-model (it landed by itself, died, or was removed), no property is judged on its behaviour.
+Invariants must hold at every observation, and so must guarantees about one state; port assumptions over each round of
+each robot; guarantees about a step between the values before and after each write. After a robot has left the model (it
+landed by itself, died, or was removed), no property is judged on its behaviour.
 
 A round's observations are the physics steps from its start to the start of the next round. At each, bodies have their
 positions at that step, all other values those after the round's events (before them at the step where both rounds
@@ -17,7 +18,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -38,6 +39,7 @@ from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
 from targets.sim.base.programs import load_programs
 from targets.sim.judging.batch import Batch
+from targets.sim.judging.guarantees import StepGuarantees, WatchedApplication
 from targets.sim.judging.judge import JudgedProperty, Of, all_of
 from targets.sim.judging.windows import Came, Windows
 from targets.sim.run.run import Run
@@ -54,36 +56,6 @@ _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "pose": lambda state: Pose(Point(*state.position), state.yaw),
 }
 _CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "unknown": "u"}
-
-
-class WatchedApplication(NamedTuple):
-    """Application of a fleet, with its properties. `number`: see FleetProgram.applications."""
-
-    fleet: FleetProgram
-    number: int
-    properties: Properties
-
-    @property
-    def name(self) -> str:
-        """Name of the application; "" if the fleet has only one."""
-        return self.fleet.applications[self.number].name if self.fleet.is_composed else ""
-
-    @property
-    def members(self) -> tuple[int, ...]:
-        """Robots that run the application, by their pids in the fleet."""
-        return self.fleet.applications[self.number].members
-
-    @classmethod
-    def only(cls, found: Properties, robots: int) -> WatchedApplication:
-        """Return the only application of a fleet."""
-        return cls(FleetProgram.alone(found.program, robots), 0, found)
-
-
-def load(root: Path, driven: Collection[str] = ()) -> Properties:
-    """Return the properties of the sim bundle at `root`, which has one program.
-
-    `driven`: modules served by the user's own drivers."""
-    return load_fleet(root, 1, driven)[0].properties
 
 
 def load_fleet(root: Path, robots: int, driven: Collection[str] = ()) -> list[WatchedApplication]:
@@ -139,7 +111,9 @@ class Watcher:
         self._members, self._robots = self._of.members, len(names)
         self._found, self._delta, self._n = found, delta, len(self._members)
         self._names = tuple([names[robot] for robot in self._members])
-        self._truth = Truth(self._of.fleet, self._of.number)
+        self._watched = all_of(found, self._n, self._of.name)
+        self._steps = StepGuarantees(self._watched, found, self._of, names)
+        self._truth = Truth(self._of.fleet, self._of.number, self._steps.variables)
         self._known = found.fleet(self._n, None)
         self._step = found.step(self._n, None)
         self._observations: deque[_Observation] = deque()
@@ -149,7 +123,6 @@ class Watcher:
         self._arrays: dict[str, NDArray[Any]] = {}  # measured arrays of the present round
         self._stopped: set[int] = set()  # numbers of instances
         self._until = math.inf  # the mission's end: robots were told to stop safely, or all have stopped
-        self._watched = all_of(found, self._n, self._of.name)
         self._loops: dict[int, tuple[Violation, str]] = {}  # false loop invariants by line; with the event
 
     @property
@@ -270,11 +243,20 @@ class Watcher:
             observations.append(self._observations.popleft())
         self._observations.appendleft(observations[-1])  # the next round begins at this observation
         self._fleet("invariant", observations)
+        self._fleet("guarantee", observations)
+        for violation in self._steps.judge(self._truth, observations[0].at, self._removed()):
+            self._run.mark(violation)
         if self._truth.round > 0:
             self._assumptions(observations)
 
+    def _removed(self) -> set[int]:
+        """Return the numbers of instances of robots that the fleet has removed before the present round."""
+        view = self._view
+        gone = {robot for robot in range(self._robots) if view.members[robot] < 0 and view.since <= self._truth.round}
+        return {instance.number for instance in self._of.fleet.instances if instance.robot in gone}
+
     def _fleet(self, of: Of, observations: list[_Observation]) -> None:
-        asked = [w for w in self._watched if w.of == of and not w.decided]
+        asked = [w for w in self._watched if w.of == of and not w.is_step and not w.decided]
         if not asked:
             return
         self._known.put(self._truth.values)

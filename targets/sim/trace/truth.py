@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import msgspec
 
@@ -26,6 +26,16 @@ _by_pid = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _by_index = msgspec.json.Decoder(list[msgspec.Raw])
 
 
+class SharedWrite(NamedTuple):
+    """Write of a shared variable in a round: its values before and after it. `instance`: number of the writer."""
+
+    variable: str
+    before: Any
+    after: Any
+    instance: int
+    event: str
+
+
 @dataclass(slots=True)
 class _Instance:
     """Records of one application on one robot. `rounds` wait to be applied."""
@@ -35,6 +45,7 @@ class _Instance:
     robot: int
     init: InitRecord | None = None
     last_recorded: int = 0  # the last recorded round
+    stopped: bool = False  # it takes no more steps after its recorded rounds
     rounds: dict[int, Round] = field(default_factory=dict)
     calls: Calls = ()  # in the round applied last
 
@@ -47,11 +58,18 @@ class Truth:
     applied; all others are as after it. Round 0 is `init`.
 
     Names and pids are those of the application. Records of other applications count as far as they write variables
-    that this application reads, too. An imported allread variable is one value: a tuple by the exporter's pids."""
+    that this application reads, too. An imported allread variable is one value: a tuple by the exporter's pids.
 
-    def __init__(self, fleet: FleetProgram, application: int = 0) -> None:
+    `changes`: the writes of `round` to the shared variables in `traced`, in the order of their effects.
+    `lacking`: instances that have not stopped and have no record of `round`, and those with an older record that was
+    applied in it."""
+
+    def __init__(self, fleet: FleetProgram, application: int = 0, traced: Collection[str] = ()) -> None:
         self.round = -1
         self.values: dict[str, Any] = {}
+        self.changes: list[SharedWrite] = []
+        self.lacking: set[int] = set()
+        self._traced = frozenset(traced)
         self._fleet, self._number = fleet, application
         self._instances = [_Instance(i.application, i.pid, i.robot) for i in fleet.instances]
         self._by_place = {(fleet.applications[i.application].name, i.robot): i.number for i in fleet.instances}
@@ -76,6 +94,7 @@ class Truth:
         else:
             instance.last_recorded = max(instance.last_recorded, record.round)
             instance.rounds[record.round] = record
+        instance.stopped = instance.stopped or record.stopped
 
     def number(self, robot: int, record: InitRecord | Round) -> int:
         """Return the number of the instance that a robot's record is about."""
@@ -123,15 +142,19 @@ class Truth:
     def advance(self) -> None:
         """Apply the available records of the next round; round 0 is `init`."""
         self.round += 1
+        self.changes = []
         if self.round == 0:
             for instance in self._instances:
                 if instance.init is not None:
                     if instance.application == self._number:
                         self._set_values(instance.pid, instance.init.locals, instance.init.actuators)
-                    self._write(instance, instance.init.shared)
+                    self._write(instance, instance.init.shared, "init")
             return
         records = [(n, record) for n, each in enumerate(self._instances) for record in self._due(each)]
-        if len({n for n, record in records if record.round == self.round}) < len(self._instances):
+        present = {n for n, record in records if record.round == self.round}
+        self.lacking = {n for n, record in records if record.round < self.round}
+        self.lacking |= {n for n, each in enumerate(self._instances) if n not in present and not each.stopped}
+        if len(present) < len(self._instances):
             self._repair(records)
         records.sort(key=lambda pair: (pair[1].round, not self._is_atomic(*pair), pair[0]))
         for number, record in records:
@@ -158,7 +181,7 @@ class Truth:
             )
         if instance.robot in self._members:
             self._clear(self._members.index(instance.robot), self._clears[instance.application], record.actuators)
-        self._write(instance, record.shared)
+        self._write(instance, record.shared, record.event or "")
 
     def _apply_own(self, pid: int, record: Round) -> None:
         for name in record.sensors:
@@ -180,19 +203,28 @@ class Truth:
             for name in group:
                 self.values[name][pid] = self._read(name, group)
 
-    def _write(self, writer: _Instance, written: Values) -> None:
+    def _write(self, writer: _Instance, written: Values, event: str) -> None:
         views = self._views[writer.application]
         for named, raw in written.items():
             name = views.get(named)
             if name is None:
                 continue
             value = self._one(name, raw)
+            before = self.value(name) if name in self._traced else None
             if name in self._slots:
                 self.values[name][writer.pid] = value
             elif name in self._lists:
                 self._set_slot(name, writer.pid, value)
             else:
                 self.values[name] = value
+            if name in self._traced:
+                number = self._by_place[self._fleet.applications[writer.application].name, writer.robot]
+                self.changes.append(SharedWrite(name, before, self.value(name), number, event))
+
+    def value(self, name: str) -> Any:
+        """Return the value of a shared variable, which later rounds do not change."""
+        value = self.values[name]
+        return list(value) if name in self._slots else value
 
     def _set_slot(self, name: str, pid: int, value: Any) -> None:
         """Set a slot of an imported allread variable. `pid`: of the slot's owner in the exporter."""

@@ -58,22 +58,32 @@ def follow(
     more: Sequence[str] = (),
 ) -> Followed:  # fmt: skip
     """As `koordgen sim --follow` does it, but in this process; `change` is done to the plan before."""
+    arguments = [str(app), "--fleet", str(fleet), "--follow", str(trace), *more]
+    return _followed(arguments, app.parent, change, out)
+
+
+def follow_fleet(fleet: Path, trace: Path, out: str = "run") -> Followed:
+    """As `koordgen sim fleet.yaml --follow` does it, but in this process."""
+    return _followed([str(fleet), "--follow", str(trace)], fleet.parent, lambda plan: None, out)
+
+
+def _followed(arguments: list[str], home: Path, change: Callable[[Any], None], out: str) -> Followed:
     from koordgen.cli.base import building, console
     from koordgen.cli.experiment.follow import plan_of_trace
 
-    options = parsed(["sim", str(app), "--fleet", str(fleet), "--follow", str(trace), *more])
+    options = parsed(["sim", *arguments])
     try:
         params, plan = plan_of_trace(options)
     except console.Failure as failure:
-        return Followed(failure.status, f"{failure} | {failure.help}", app.parent)
+        return Followed(failure.status, f"{failure} | {failure.help}", home)
     with redirect_stderr(StringIO()):  # warnings
         bundles, _ = building.planned(options, ["sim"], params)
-    bundle = app.parent / f"{out}-bundle"
+    bundle = home / f"{out}-bundle"
     building.write({"sim": bundles["sim"]}, bundle)
     plan = json.loads(json.dumps(plan))
     change(plan)
     (bundle / "follow.json").write_text(json.dumps(plan))
-    folder = app.parent / out
+    folder = home / out
     arguments = ["--follow", str(bundle / "follow.json"), "--out", str(folder), "--no-report", "--quiet"]
     with redirect_stdout(StringIO()) as told, redirect_stderr(StringIO()) as failed:
         status = harness(bundle / "sim", arguments)

@@ -14,7 +14,7 @@ from koordgen.build.pipeline import check_file
 from koordgen.cli import main
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import BadTrace
-from koordgen.verify.follow.plan import CannotExecute, make_plan
+from koordgen.verify.follow.plan import CannotExecute, alone, make_plan
 from koordgen.verify.follow.read import read
 from tests.sim.follow.following import fleet, follow
 from tests.sim.follow.test_follow import GRID, MOVED, found
@@ -168,7 +168,8 @@ def _spoilt(dice: Random, value: Any) -> Any:
 
 def tried(path: Path, program: Program) -> str:
     try:
-        plan = make_plan(program, read(path), {})
+        given = read(path)
+        plan = make_plan(alone(program, given.robots), given, [{}])
     except (BadTrace, CannotExecute) as error:
         assert str(error)
         return "refused"

@@ -64,7 +64,7 @@ N = 4
 
 def properties(root: Path, *formulas: str) -> Properties:
     beside(root, HEAD + "".join(f"invariant P{k}: {formula}\n" for k, formula in enumerate(formulas)))
-    return watch.load(root)
+    return watch.load_fleet(root, 1)[0].properties
 
 
 def place(rng: Random) -> Point:
@@ -117,7 +117,7 @@ ASSUMED = [
 def test_what_surely_is_of_each_robot_is(tmp_path: Path) -> None:
     lines = "".join(f"  assume {formula}\n" for formula in ASSUMED)
     beside(tmp_path, HEAD.replace("allread:\n", f"{lines}allread:\n", 1))
-    found, rng = watch.load(tmp_path), Random(3)
+    found, rng = watch.load_fleet(tmp_path, 1)[0].properties, Random(3)
     held = sure = 0
     for _ in range(60):
         before = values(rng) | {"Motion.position": [place(rng) for _ in range(N)]}

@@ -92,7 +92,7 @@ class Watched:
         self, root: Path, text: str, n: int = 3, seed: int = 1, conditions: Conditions | None = None, told: bool = False
     ) -> None:
         beside(root, text)
-        self.found = watch.load(root)
+        self.found = watch.load_fleet(root, 1)[0].properties
         program = self.found.program
         self.fleet = Fleet(n, seed, conditions, program, clocks=lambda pid, base: base).boot_all()
         self.files = {pid: robot.file for pid, robot in self.fleet.robots.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from random import Random
 
 import pytest
@@ -13,7 +14,9 @@ from koordgen.lang.semantics.composition import Application, System
 from koordgen.lang.semantics.exec import Writes
 from koordgen.lang.semantics.system import initial_system, run_inits, system_round
 from koordgen.verify.explore.environment import Environment, SensorDomain
+from koordgen.verify.explore.machine import Packed, RobotStep
 from koordgen.verify.explore.search import DEADLOCK, WELL_DEFINED
+from koordgen.verify.explore.system.rounds import SystemRounds
 from koordgen.verify.explore.system.search import SystemResult
 from koordgen.verify.explore.system.show import document, itf, report
 from tests.lang.semantics.compositions import compiled, random_system
@@ -172,6 +175,62 @@ def test_each_step_of_agents_is_a_choice_of_the_explorer(seed: int) -> None:
 def test_many_steps_of_agents_are_choices_of_the_explorer() -> None:
     taken = sum([follow(guarded_system(seed, robots, 7), seed, 20) for seed in range(1000, 1500) for robots in (2, 3)])
     assert taken > 20_000
+
+
+class RoundsOfSome(SystemRounds):
+    """Rounds in which only the instances in `acting` run events: some of all the rounds that the explorer allows."""
+
+    acting: Collection[int] = ()
+
+    def _choices(self, index: int, number: int, fleet: Packed, begun: Packed) -> tuple[RobotStep, ...]:
+        return super()._choices(index, number, fleet, begun) if number in self.acting else ()
+
+    def _first(self, number: int, fleet: Packed) -> tuple[int, int | None] | None:
+        return super()._first(number, fleet) if number in self.acting else None
+
+
+def successors(system: System, seed: int, rounds: int = 20, independence: bool = True) -> int:
+    """Look up the result of each round of agents among the results that the explorer finds for the round.
+
+    It is one of all results, and one of those of rounds that agents can execute. Some instances skip each round. The
+    explorer need not look at rounds in which other instances act than in the round of the agents. Return the number of
+    events."""
+    made, dice, taken = search(system), Random(seed), 0
+    allowed, agents = (
+        RoundsOfSome(made.machine, made.guarantees, independence, as_agents) for as_agents in (False, True)
+    )
+    state, _ = run_inits(system, initial_system(system))
+    for number in range(1, rounds + 1):
+        fleet = made.machine.packed(state)
+        skipping = [instance for instance in range(len(system.instances())) if dice.random() < 0.2]
+        state, steps = system_round(system, state, skipping)
+        ran = [instance for instance, step in steps if isinstance(step.outcome, Writes)]
+        result = (sum([1 << instance for instance in ran]), made.machine.packed(state))
+        for of in (allowed, agents):
+            of.acting = ran
+            assert result in of.ends(fleet), (number, ran)
+        taken += len(ran)
+    return taken
+
+
+@pytest.mark.parametrize("robots", [2, 3])
+@pytest.mark.parametrize("seed", [12, 17, 38, 45])  # each rule about conflicts and carried writes matters in one
+def test_the_result_of_each_round_of_agents_is_one_of_the_explorer(seed: int, robots: int) -> None:
+    successors(random_system(seed, robots), seed)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_reduction_the_result_of_each_round_is_one_of_the_explorer(seed: int) -> None:
+    successors(random_system(seed, 2), seed, 4, independence=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robots", [2, 3])
+@pytest.mark.parametrize("part", range(20))
+def test_the_results_of_10_000_rounds_of_agents_are_those_of_the_explorer(part: int, robots: int) -> None:
+    """500 compositions for each number of robots, 20 rounds each."""
+    taken = sum([successors(random_system(seed, robots), seed) for seed in range(2000 + 25 * part, 2025 + 25 * part)])
+    assert taken > 500
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -49,6 +49,7 @@ class SystemViolation(NamedTuple):
     `name`: the violated property: the name of an invariant or a guarantee, LOOP with a line, WELL_DEFINED or DEADLOCK.
     `failed`: the conjunct that is false in the last state, or in the last step; None for other violations.
     `reason`: explanation of the violation if `failed` is None.
+    `culprit`: the instance and its next event, if the failure is that this event has no result; otherwise None.
     `of_agents`: whether a run to this violation is known that agents can execute.
     `shortest`: number of rounds of the shortest run that the language allows; None if `run_states` is this short."""
 
@@ -58,6 +59,7 @@ class SystemViolation(NamedTuple):
     run_states: tuple[SystemRunState, ...]
     failed: Conjunct | None
     reason: str
+    culprit: tuple[int, str] | None = None
     of_agents: bool = True
     shortest: int | None = None
 
@@ -237,7 +239,8 @@ class SystemSearch(BreadthFirstSearch[SystemViolation]):
         by = f"{event} of {name} on robot {robot}"
         if found.choice is None:
             reason = f"{by} has no result: {found.reason}"
-            return SystemViolation(application, WELL_DEFINED, found.line, self._shown(run), None, reason)
+            culprit = (unit, event)
+            return SystemViolation(application, WELL_DEFINED, found.line, self._shown(run), None, reason, culprit)
         begun = next(each for each in reversed(run) if each.round < number or not number).fleet
         own = begun[self.machine.own_places[unit]]
         after = self.machine.applied(run[-1].fleet, unit, own, found.choice)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from koordgen.build.emit.system import is_alone
 from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.system import view
 from koordgen.runtime.trace.schema import (
     FORMAT,
     LEFT_OUT,
+    ApplicationRecord,
     Header,
     PoseRecord,
     RobotName,
@@ -27,40 +29,58 @@ from koordgen.verify.prove.report.trace import NOBODY, RunOrigin, json_lines, st
 def trace(found: SystemViolation, system: System, robots: Sequence[str], origins: Sequence[RunOrigin]) -> str:
     """Return the run to a violation as the text of a trace file.
 
-    `robots`: the names of the robots. `origins`: the origin of each application's part of the run. A record's `pid` is
-    the robot's place in the fleet file. Shared variables and params have the name of their application in front."""
-    records: list[TraceRecord] = [_header(found, system, robots), *_steps(found.run_states, system, origins)]
+    `robots`: the names of the robots. `origins`: the origin of each application's part of the run, with the hash of the
+    system. A record's `pid` is the robot's place in the fleet file. Shared variables and params have the name of their
+    application in front. With one application on all robots, the trace is that of its program."""
+    header = _header(found, system, robots, origins[0].program_hash)
+    records: list[TraceRecord] = [header, *_steps(found.run_states, system, origins)]
     line = found.failed.formula.span.line if found.failed else found.line
     detail = f"false: {to_koord(found.failed.formula)}" if found.failed else found.reason
     place = name = ""
     if found.application is not None:
         application = system.applications[found.application]
         place, name = f"{application.program.path}:{line}", application.name
-    t = float(found.run_states[-1].round)
-    records.append(Violation(t, "property", tuple(robots), detail, found.name, place, LEFT_OUT, name))
+    t, pid, event = float(found.run_states[-1].round), LEFT_OUT, LEFT_OUT
+    if found.culprit is not None:
+        pid, event = system.instances()[found.culprit[0]].robot, found.culprit[1]
+    records.append(Violation(t, "property", tuple(robots), detail, found.name, place, LEFT_OUT, name, pid, event))
     return json_lines(records)
 
 
-def _header(found: SystemViolation, system: System, robots: Sequence[str]) -> Header:
-    names = tuple([application.name for application in system.applications])
+def _header(found: SystemViolation, system: System, robots: Sequence[str], hashed: str) -> Header:
+    names, composed = tuple([application.name for application in system.applications]), not is_alone(system)
     params = zip(names, found.run_states[0].state.params, strict=True)
+    before = [f"{name}." if composed else "" for name in names]
+    composition = [
+        ApplicationRecord(
+            application.name,
+            application.members,
+            {v.name: f"{names[system.owner(index, v.name)]}.{v.name}" for v in application.program.shared},
+        )
+        for index, application in enumerate(system.applications)
+    ]
     return Header(
         format=FORMAT,
-        app="+".join(names),
-        program_hash="",
+        app="+".join(names) if composed else system.applications[0].program.name,
+        program_hash=hashed,
         delta=1.0,
         seed=0,
         robots=tuple([RobotName(robot, place, "proof") for place, robot in enumerate(robots)]),
         duration=float(found.run_states[-1].round),
         shared=tuple([
-            SharedVariable(f"{name}.{variable.name}", variable.kind, str(variable.type))
-            for index, name in enumerate(names)
+            SharedVariable(f"{prefix}{variable.name}", variable.kind, str(variable.type))
+            for index, prefix in enumerate(before)
             for variable in system.own(index)
         ]),
         applications=names,
         counterexample="run",
-        params={f"{name}.{param}": plain_value(value) for name, given in params for param, value in given.items()},
+        params={
+            f"{prefix}{param}": plain_value(value)
+            for prefix, (_, given) in zip(before, params, strict=True)
+            for param, value in given.items()
+        },
         given=(),
+        composition=tuple(composition) if composed else LEFT_OUT,
     )  # fmt: skip
 
 
