@@ -72,6 +72,8 @@ def prove(command: Parser) -> None:
     _fleet(question, "a fleet file (YAML), for the values of params")
     value = "value of a param; other params may have any value; may be repeated"
     question.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
+    inner = "program of the fleets that are the robots of APP: prove that it keeps what APP assumes of its modules"
+    question.add_argument("--inner", metavar="INNER.koord", help=inner)
     solving = command.add_argument_group("solver")
     solving.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="SMT solver (default: z3)")
     timeout = "time limit of one query, in seconds (default: 10)"

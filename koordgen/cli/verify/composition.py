@@ -61,6 +61,7 @@ def _only_for_programs(options: Namespace) -> None:
         "--fleet": options.fleet is not None,
         "--param": bool(options.param),
         "--trace": options.trace is not None,
+        "--inner": options.inner is not None,
     }
     for option, is_given in given.items():
         if is_given:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from koordgen.lang.ir.decl import Program
     from koordgen.lang.ir.expr import Expr
     from koordgen.lang.source import Source
+    from koordgen.verify.prove.report.levels import LevelVerdicts
     from koordgen.verify.prove.report.show import Attacks
     from koordgen.verify.prove.report.verdict import InvariantVerdict
     from koordgen.verify.prove.smt.solve import CrossCheck, Solver
@@ -80,8 +81,9 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
     question = fixed_params(checked.program, given)
     found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
     attacks = attack_verdicts(checked.program, question, found, solver, options)
+    levels = levels_of(options, checked.program, question, solver) if options.inner is not None else None
     solver.stop()  # the operating system frees the solver's memory while this process prints
-    print_verdicts(options, found, attacks)
+    print_verdicts(options, found, attacks, levels)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
     if options.trace is not None:
@@ -90,7 +92,32 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
             save(options.trace, made)
         else:
             notify(f"note: no counterexample was found, so no trace was written to {options.trace}")
-    return status(found)
+    worst = status(found)
+    return worst if worst != HOLDS or levels is None or levels.is_proved else INCONCLUSIVE
+
+
+def levels_of(
+    options: Namespace, outer: Program, params: Mapping[str, Expr], solver: Solver | CrossCheck
+) -> LevelVerdicts:
+    """Prove what the program assumes of its modules about the program `options.inner`. Raises Failure, Rejected."""
+    from koordgen.build.pipeline import check_file
+    from koordgen.cli.base.alarm import alarm
+    from koordgen.lang.semantics.deadline import OutOfTime
+    from koordgen.verify.prove.report.levels import prove_levels
+
+    checked = check_file(options.inner)
+    if options.format == "text":
+        print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
+    if not checked.program.provides:
+        message = f"{options.inner} provides no module, so its fleet cannot be a robot"
+        raise Failure(USAGE, message, "declare the module's ports: 'provides Motion:' (`koordgen docs language`)")
+    seconds = _total(options)
+    try:
+        with alarm(seconds):
+            return prove_levels(checked.program, outer, {}, params, solver)
+    except OutOfTime:
+        message = f"the time limit of {seconds:g} s for the proof of {options.inner} is over"
+        raise Failure(INCONCLUSIVE, message, "try a longer --timeout") from None
 
 
 def verdicts_by_robots(
@@ -145,17 +172,28 @@ def status(found: list[list[InvariantVerdict]]) -> int:
     return INCONCLUSIVE if said & {"UNKNOWN", "VACUOUS"} else HOLDS
 
 
-def print_verdicts(options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks]) -> None:
+def print_verdicts(
+    options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks], levels: LevelVerdicts | None = None
+) -> None:
     from koordgen.cli.base.terminal import coloured_verdicts
     from koordgen.verify.prove.report.show import document, report
 
     if options.format == "json":
         import json
 
-        print(json.dumps(document(zip(found, attacks, strict=True)), indent=2), flush=True)
+        made_of_all = document(zip(found, attacks, strict=True))
+        if levels is not None:
+            from koordgen.verify.prove.report.levels import levels_document
+
+            made_of_all["levels"] = levels_document(levels)
+        print(json.dumps(made_of_all, indent=2), flush=True)
         return
     for verdicts, made in zip(found, attacks, strict=True):
         sys.stdout.write(coloured_verdicts(report(verdicts, options.program, made), sys.stdout))
+    if levels is not None:
+        from koordgen.verify.prove.report.levels import levels_text
+
+        sys.stdout.write(coloured_verdicts(f"\n{levels_text(levels)}", sys.stdout))
 
 
 def files(

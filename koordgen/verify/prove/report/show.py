@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from koordgen.verify.prove.report.ledger import LedgerEntry
 from koordgen.verify.prove.report.verdict import WELL_DEFINED, InvariantVerdict
 
 if TYPE_CHECKING:  # imported only for type checking, since a proof needs no code that shows counterexamples
@@ -139,9 +140,13 @@ def suggestion(verdict: InvariantVerdict) -> str:
 
 def _ledger(verdicts: Iterable[InvariantVerdict]) -> Iterator[str]:
     entries = dict.fromkeys(entry for verdict in verdicts for entry in verdict.assumptions)
-    if not entries:
-        return
-    yield "assumed:"
+    if entries:
+        yield "assumed:"
+        yield from ledger_lines(entries)
+
+
+def ledger_lines(entries: Iterable[LedgerEntry]) -> Iterator[str]:
+    """Yield a list of assumptions, each with its place and the component that checks it."""
     for entry in entries:
         place = f" ({entry.file}:{entry.line})" if entry.line else ""
         checked = f"checked: {entry.checked}" if entry.checked else "unchecked"

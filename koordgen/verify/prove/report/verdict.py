@@ -80,7 +80,7 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerd
     solver.start()
     program = question.program
     question = question._replace(interface=question.interface.with_commands(program))
-    asked = _as_for_any(question, program, solver) or _settled(
+    asked = _as_for_any(question, program, solver) or settled(
         question, program, solver, SolvedObligations([], frozenset(), {})
     )
     names = _names(program, asked)
@@ -94,7 +94,7 @@ def prove(question: Question, solver: Solver | CrossCheck) -> list[InvariantVerd
             break
         question = question._replace(interface=interface)
         program = replace(program, properties=tuple([p for p in program.properties if p not in without]))
-        asked = _settled(question, program, solver, asked)
+        asked = settled(question, program, solver, asked)
         groups = {name: group for name, group in _groups(asked.outcomes).items() if name not in failed}
     failed.update({name: (group, program, question.interface) for name, group in asked.lost.items()})
     outcomes = asked.outcomes
@@ -129,7 +129,7 @@ def _explained(
     return {name: explainer.explain(name, group, relied, scope) for name, (group, relied, scope) in failed.items()}
 
 
-def _settled(
+def settled(
     question: Question,
     program: decl.Program,
     solver: Solver | CrossCheck,
@@ -184,9 +184,7 @@ def _as_for_any(question: Question, program: decl.Program, solver: Solver | Cros
     must still be shown for the given number. Returns None if the proof for any number fails."""
     if question.robots is None:
         return None
-    general = _settled(
-        question._replace(robots=None), program, solver, SolvedObligations([], frozenset(), {}), MORE[:1]
-    )
+    general = settled(question._replace(robots=None), program, solver, SolvedObligations([], frozenset(), {}), MORE[:1])
     # SOUND: use either all results or no results. For any number of robots, the facts after a loop rest on the loop's
     # invariants. For the given number, the loop may be unrolled, and then its invariants have no obligations.
     if general.lost or not all(outcome.holds for outcome in general.outcomes):

@@ -1,0 +1,211 @@
+"""Verdicts about two levels: what an outer program assumes about its robots, each of which is a fleet (ADR 0056)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+from koordgen.lang.ir import decl
+from koordgen.lang.ir.expr import Expr
+from koordgen.verify.prove.obligations.provided import ProvidedAssumption, ProvidedModules
+from koordgen.verify.prove.report.koord_text import to_koord
+from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
+from koordgen.verify.prove.report.show import ledger_lines, wrapped
+from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, SolvedObligations, prove, settled
+from koordgen.verify.prove.smt.obligation import Kind
+from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver
+
+# Not asked of a kept assumption: it is about any earlier time, and a command begins a new outer round.
+NOT_KEPT: frozenset[Kind] = frozenset(("base", "interference"))
+SLACK = "not covered: the time from a command until the inner round that applies it, at most three inner rounds"
+
+
+class ProvidedVerdict(NamedTuple):
+    """Verdict about one assumption of the outer program.
+
+    `reason`: why it is not PROVED.
+    `has_slack`: whether the time until a command is applied is not covered, because the assumption reads an actuator.
+    `rests_on`: the invariants of the inner program that the proof uses."""
+
+    assumption: decl.Assumption
+    module: str
+    verdict: Literal["PROVED", "UNPROVED"]
+    reason: str
+    has_slack: bool
+    rests_on: tuple[str, ...] = ()
+
+
+class LevelVerdicts(NamedTuple):
+    """Verdicts about what the outer program assumes, and about the inner program.
+
+    `assumed`: the assumptions on which all of them rest."""
+
+    outer: str
+    inner: str
+    provided: tuple[ProvidedVerdict, ...]
+    invariants: tuple[InvariantVerdict, ...]
+    assumed: tuple[LedgerEntry, ...]
+
+    @property
+    def is_proved(self) -> bool:
+        return all(each.verdict == "PROVED" for each in self.provided)
+
+
+def prove_levels(
+    inner: decl.Program, outer: decl.Program, inner_params: Mapping[str, Expr], outer_params: Mapping[str, Expr],
+    solver: Solver | CrossCheck,
+) -> LevelVerdicts:  # fmt: skip
+    """Prove for every number of inner robots what the outer program assumes about its modules.
+
+    Raises SolverMissing."""
+    invariants = prove(Question(inner, None, inner_params), solver)
+    proved = {v.invariant for v in invariants if v.verdict == "PROVED"}
+    kept = tuple([p for p in inner.properties if p.kind != "invariant" or p.name in proved])
+    stated = ProvidedModules(inner, outer, outer_params)
+    vacuous = next((v.reason for v in invariants if v.verdict == "VACUOUS"), "")
+    search = _Search(stated, {**inner_params, **stated.fixed()}, solver, kept)
+    if not vacuous:
+        search.run()
+    provided = [_verdict(each, search, vacuous) for each in stated.assumptions]
+    relied = {name for each in provided for name in each.rests_on}
+    own = [o.obligation for o in search.used]
+    own += [o.obligation for v in invariants if v.invariant in _all_relied(relied, invariants) for o in v.outcomes]
+    ledger = Ledger(inner).of(own) if own else ()
+    return LevelVerdicts(outer.path, inner.path, tuple(provided), tuple(invariants), ledger)
+
+
+def _all_relied(names: set[str], invariants: Sequence[InvariantVerdict]) -> set[str]:
+    """Return names of invariants, and the invariants on which their proofs rest, directly or not."""
+    found, rests = set(names), {v.invariant: v.rests_on for v in invariants}
+    while more := {other for name in found for other in rests[name] if other in rests} - found:
+        found |= more
+    return found
+
+
+class _Search:
+    """Proof of the properties of all assumptions: what fails is dropped, and the others are proved again without it.
+
+    `failed`: name of a property -> the steps that may break it. `used`: obligations that the proofs use."""
+
+    def __init__(
+        self, stated: ProvidedModules, params: Mapping[str, Expr], solver: Solver | CrossCheck,
+        proved: tuple[decl.Property, ...],
+    ) -> None:  # fmt: skip
+        self.stated, self.params, self.solver, self.proved = stated, params, solver, proved
+        self.failed: dict[str, list[str]] = {}
+        self.used: list[ObligationResult] = []
+
+    def run(self) -> None:
+        every = self.stated.assumptions
+        once = self._shown([each.once for each in every if each.once is not None], self.proved, frozenset())
+        names = {p.name for p in once}
+        pairs = [
+            each.kept for each in every if each.kept is not None and each.once is not None and each.once.name in names
+        ]
+        self._shown(pairs, (*self.proved, *once), NOT_KEPT)
+
+    def _shown(
+        self, properties: Sequence[decl.Property], known: tuple[decl.Property, ...], skipped: Collection[Kind]
+    ) -> list[decl.Property]:
+        """Return the properties that every step keeps. Obligations of the kinds `skipped` do not count."""
+        left = list(properties)
+        while left:
+            program = self.stated.program((*known, *left))
+            question = Question(program, None, self.params)
+            question = question._replace(interface=question.interface.with_commands(program))
+            asked = settled(question, program, self.solver, SolvedObligations([], frozenset(), {}))
+            names = {p.name for p in left}
+            own = [o for o in asked.outcomes if o.obligation.invariant in names and o.obligation.kind not in skipped]
+            failing = {o.obligation.invariant for o in own if not o.holds}
+            for outcome in own:
+                if not outcome.holds:
+                    self.failed.setdefault(outcome.obligation.invariant, []).append(_step(outcome))
+            if not failing:
+                self.used += own
+                break
+            left = [p for p in left if p.name not in failing]
+        return left
+
+
+def _step(outcome: ObligationResult) -> str:
+    event, undecided = outcome.obligation.event, outcome.answer.result == "unknown"
+    step = {"init": "the state after init", "(environment)": "a step of the environment"}.get(event)
+    if step is None:
+        step = "a command" if event.startswith("(") else f"the event {event}"
+    return f"{step} (undecided: {outcome.answer.reason})" if undecided else step
+
+
+def _verdict(each: ProvidedAssumption, search: _Search, vacuous: str) -> ProvidedVerdict:
+    has_slack = each.once is not None and _reads_actuator(each, search.stated)
+
+    def found(
+        verdict: Literal["PROVED", "UNPROVED"], reason: str = "", rests_on: tuple[str, ...] = ()
+    ) -> ProvidedVerdict:
+        return ProvidedVerdict(each.assumption, each.module, verdict, reason, has_slack, rests_on)
+
+    if each.once is None or each.kept is None:
+        return found("UNPROVED", each.why)
+    if vacuous:
+        return found("UNPROVED", vacuous)
+    for property_, what in ((each.once, "it is not true at once"), (each.kept, "it is not kept")):
+        if property_.name in search.failed:
+            steps = ", ".join(dict.fromkeys(search.failed[property_.name]))
+            return found("UNPROVED", f"{what}: {steps} may break it")
+    own = [o for o in search.used if o.obligation.invariant in (each.once.name, each.kept.name)]
+    path = search.stated.inner.path
+    lines = {fact.line for o in own for fact in o.obligation.facts if fact.file == path}
+    rests = [
+        p.name for p in search.proved if p.kind == "invariant" and lines & set(range(p.span.line, p.span.end_line + 1))
+    ]
+    return found("PROVED", "", tuple(rests))
+
+
+def _reads_actuator(each: ProvidedAssumption, stated: ProvidedModules) -> bool:
+    from koordgen.lang.ir.expr import PortRead
+    from koordgen.lang.ir.tree import walk
+
+    module = next(m for m in stated.outer.modules if m.name == each.module)
+    actuators = {port.name for port in module.ports if port.direction == "actuator"}
+    return any(isinstance(n, PortRead) and n.port in actuators for n in walk(each.assumption.formula))
+
+
+def levels_text(found: LevelVerdicts) -> str:
+    """Return the verdicts about both levels as text."""
+    lines = [f"each robot of {found.outer} is a fleet of {found.inner}, for every number of inner robots", ""]
+    for each in found.provided:
+        text = f"assume {to_koord(each.assumption.formula)}"
+        lines.append(f"{each.verdict:<9} {text}  ({found.outer}:{each.assumption.span.line})")
+        if each.reason:
+            lines += wrapped(each.reason)
+        if each.rests_on:
+            lines += wrapped(f"rests on {', '.join(each.rests_on)} of {found.inner}")
+        if each.verdict == "PROVED" and each.has_slack:
+            lines += wrapped(SLACK)
+    if not found.provided:
+        lines.append(f"{found.outer} assumes nothing about its modules")
+    if any(each.verdict == "PROVED" for each in found.provided):
+        lines += ["", f"assumed in {found.inner}:"]
+        lines += ledger_lines(found.assumed)
+    return "\n".join(lines) + "\n"
+
+
+def levels_document(found: LevelVerdicts) -> dict[str, Any]:
+    """Return the verdicts about both levels as data for JSON."""
+    return {
+        "outer": found.outer,
+        "inner": found.inner,
+        "assumptions": [
+            {
+                "module": each.module,
+                "text": to_koord(each.assumption.formula),
+                "line": each.assumption.span.line,
+                "verdict": each.verdict,
+                "reason": each.reason or None,
+                "slack": SLACK if each.has_slack else None,
+                "rests_on": list(each.rests_on),
+            }
+            for each in found.provided
+        ],
+        "invariants": [{"name": v.invariant, "verdict": v.verdict} for v in found.invariants],
+        "assumed": [entry._asdict() for entry in found.assumed],
+    }
