@@ -46,7 +46,7 @@ class ProvidedAssumption(NamedTuple):
 
 
 class ProvidedModules:
-    """What an outer program assumes about the modules that an inner program provides.
+    """Assumptions of an outer program about the modules that an inner program provides.
 
     `assumptions`: in the order of the outer program. `reads_pid`: whether one depends on the outer robot's pid."""
 
