@@ -297,7 +297,7 @@ class StreamLine(msgspec.Struct, frozen=True, tag_field="kind", tag="stream"):
 class Monitor(msgspec.Struct, frozen=True, tag_field="kind", tag="monitor"):
     """New verdict of a robot's monitor on a property."""
 
-    of: str  # kind of the property: invariant, assume, requires, ensures, loop invariant
+    of: str  # kind of the property: invariant, guarantee, assume, requires, ensures, loop invariant
     name: str  # name of the property
     line: str  # place of the property, such as app.koord:12
     outcome: str  # verdict: held, violated, no value, unknown
@@ -361,7 +361,7 @@ class Verdict(msgspec.Struct, frozen=True, tag_field="kind", tag="verdict"):
     A loop invariant has a verdict only if it was ever false."""
 
     t: float  # time since the start of round 1 [s]
-    of: str  # kind of the property: invariant, initially, assume, axiom, loop invariant
+    of: str  # kind of the property: invariant, guarantee, initially, assume, axiom, loop invariant
     name: str  # name of the property
     line: str  # place of the property, such as app.koord:12
     outcome: Found  # verdict on the whole run
