@@ -262,7 +262,9 @@ def read_fleet(
     read = _read_fleet(source, targets, params, known)
     if program is not None and read.applications:
         message = f"this fleet file names the programs of its applications, but {program_path} is given as well"
-        help = f"`koordgen check`, `prove`, `explore`, `build` and `sim` take {path} alone, other commands one program"
+        help = (
+            f"give {path} in place of the program; `koordgen docs fleet#applications` lists the commands that take it"
+        )
         span = read.applications[0].spans[""]
         raise Rejected([(source, Diagnostic("F005", "error", message, span, help=help))])
     return read, read.params

@@ -13,8 +13,8 @@ LONGEST = 86400.0  # largest time of options, in seconds
 def program(text: str) -> str:
     """Return the path of a program; refuse a YAML file."""
     if is_fleet(text):
-        way = f"`koordgen build APP.koord --fleet {text}` checks a fleet file together with its program"
-        way += "; this command does not take the applications of a fleet file"
+        way = f"`koordgen build APP.koord --fleet {text}` checks a fleet file together with its program, and "
+        way += f"`koordgen check {text}` one that names its programs; this command takes one program"
         raise argparse.ArgumentTypeError(f"expected a program (.koord), not the YAML file {text}; {way}")
     return text
 

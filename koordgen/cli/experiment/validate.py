@@ -77,7 +77,7 @@ def validate(options: Namespace) -> int:
         kept, ended = _sampled(aside, of, harness, bundles[harness.name], app, count, out, line)
         found = _report(options, of, bundles[harness.name], kept, count, ended is None, line)
         reach = _reachsets(aside, of.fleet, out, line) if options.reachsets and ended is None else {}
-        _print_report(options, of, found, out, ended is None, reach)
+        _print_report(options, found, out, ended is None, reach)
     except (store.FolderUnusable, ClusterUnreachable) as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
     except OSError as error:
@@ -233,7 +233,6 @@ def _suggested(
 
 def _print_report(
     options: Namespace,
-    of: ValidatedProgram,
     found: table.ValidationReport,
     out: Path,
     whole: bool,
@@ -241,10 +240,7 @@ def _print_report(
 ) -> None:
     def commands(case: Case) -> tuple[str, str]:
         folder = out / store.RUNS / f"{case.run:04d}"
-        # `replay` does not take the trace of several applications
-        look = ["koordgen", "show", str(folder), f"--at={case.at:g}"] if of.application else None
-        again = _command(options, case.seed, Path(f"{folder}-again"))
-        return again, shlex.join(look or ["koordgen", "replay", str(folder)])
+        return _command(options, case.seed, Path(f"{folder}-again")), shlex.join(["koordgen", "replay", str(folder)])
 
     document: dict[str, Any] = table.document(found, commands)
     text = table.as_text(found, commands)

@@ -54,7 +54,6 @@ def examine(
         f"robot {settings.robot}, pid {settings.pid} of {len(settings.peers)}, delta {settings.delta} s",
     )
     yield _program(fleet, settings)
-    yield from _applications(fleet, settings.pid)
     yield _compiled()
     yield _protocol(settings, root)
     if settings.state is not None:
@@ -93,17 +92,18 @@ def _program(program: FleetProgram, settings: Settings) -> Finding:
     except (TooLarge, BadExtern) as error:
         return Finding("program", "fail", str(error))
     release = f", release {settings.release}" if settings.release else ""
-    return Finding(
-        "program", "ok", f"{program.name} {program.program_hash}, interface {program.interface_hash}{release}"
-    )
+    detail = f"{program.name} {program.program_hash}, interface {program.interface_hash}{release}"
+    return Finding("program", "ok", detail + _applications(program, settings.pid))
 
 
-def _applications(fleet: FleetProgram, robot: int) -> Iterator[Finding]:
-    """Name each application of a fleet that has several, and this robot's place in it."""
+def _applications(fleet: FleetProgram, robot: int) -> str:
+    """Name each application of a fleet that has several, and this robot's place in it; "" for only one."""
+    found = []
     for application in fleet.applications if fleet.is_composed else ():
         members = application.members
         place = f"pid {members.index(robot)} of {len(members)}" if robot in members else "not on this robot"
-        yield Finding("program", "ok", f"{application.name} {application.program.program_hash}: {place}")
+        found.append(f"; {application.name} {application.program.program_hash}: {place}")
+    return "".join(found)
 
 
 def _compiled() -> Finding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -135,6 +136,15 @@ def test_the_trace_has_each_record_with_its_application_and_pages_the_names_of_t
     assert all(StoreNames(read_header).of(r) is r for r in shown if not getattr(r, "application", ""))
     report = (run[0] / "report.html").read_text()
     assert "cars.Few" in report and "quads.Look" in report
+
+
+def test_a_csv_row_of_a_round_has_its_application(run: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    assert main(["export", str(run[0]), "--to", "csv", "--out", str(tmp_path / "csv")]) == 0
+    with (tmp_path / "csv" / "rounds.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {(r["robot"], r["application"]) for r in rows} == {("alice", "cars"), ("alice", "quads"), ("bert", "cars")}
+    assert all(r["event"].startswith(r["application"]) for r in rows if r["event"])
+    assert any(r["skipped"] and r["application"] == "quads" for r in rows)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no browser: on Debian, apt install chromium")

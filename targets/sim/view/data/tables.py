@@ -1,6 +1,7 @@
 """Export of a trace as CSV for spreadsheets and pandas.
 
-A file for each kind of record, with `COLUMNS`.
+A file for each kind of record, with `COLUMNS`. With several applications, `rounds` has a row for each application of a
+robot, with its name in a further column `application`.
 
 t is in seconds since the start of round 1, positions in metres (local ENU), yaw in radians; values of the program are
 JSON. A file without records has only the column names."""
@@ -51,16 +52,18 @@ def write(folder: Path, header: Header, records: Iterable[TraceRecord]) -> None:
     """Write all tables into `folder`, reading the records once. Raises BadTrace, OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     names = {robot.pid: robot.name for robot in header.robots}
+    composed = not isinstance(header.composition, msgspec.UnsetType)
     with ExitStack() as stack:
         tables = {}
         for table, columns in COLUMNS.items():
             file = stack.enter_context((folder / f"{table}.csv").open("w", newline="", encoding="utf-8"))
             tables[table] = csv.writer(file)
-            tables[table].writerow(columns)
+            tables[table].writerow((*columns, "application") if composed and table == "rounds" else columns)
         beliefs = Beliefs(header)
         for record in records:
             for table, row in (*_rows(record, names), *_believed(record, beliefs, names)):
-                tables[table].writerow(row)
+                more = (getattr(record, "application", ""),) if composed and table == "rounds" else ()
+                tables[table].writerow((*row, *more))
 
 
 def _believed(record: TraceRecord, beliefs: Beliefs, names: dict[int, str]) -> Iterator[tuple[str, Row]]:
