@@ -33,6 +33,17 @@ class AuditedFleet(NamedTuple):
         return own | {(self.system.owner(index, name), name) for each in program.imports for name in each.written}
 
 
+class SharedChange(NamedTuple):
+    """Change of a shared variable by one write, or by all writes of a round whose writes are not all known.
+
+    `before`, `after`: values for generated code. `cause`: the write, as text. `robots`: name of the writing robot."""
+
+    before: Any
+    after: Any
+    cause: str
+    robots: tuple[str, ...]
+
+
 class FleetState:
     """State of the members of an application at one observation. `advance` and `end` move on to the next observation.
 
@@ -123,6 +134,10 @@ class FleetState:
         calls = tuple([self._meaning.call(port, args, answer) for port, args, answer in recorded])
         return None if any(answer is UNKNOWN or UNKNOWN in args for _, args, answer in calls) else calls
 
+    def changes(self, variable: str) -> list[SharedChange]:
+        """Return the changes of one of the application's own variables in the present round, in their order."""
+        return self._shared.changes(variable)
+
     def _act(self, pid: int, history: RobotHistory) -> None:
         own, record = self._own[pid], self.record(pid, self.round)
         if self.round in history.turns:
@@ -164,7 +179,7 @@ class _Shared:
     copy contains are computed from the recorded writes."""
 
     def __init__(self, meaning: GeneratedProperties, fleet: AuditedFleet, index: int) -> None:
-        self._meaning, self._index = meaning, index
+        self._meaning, self._index, self._system, self._missions = meaning, index, fleet.system, fleet.missions
         self._writes = RecordedWrites(fleet.system)
         self._instances = [
             _Instance(history, application, self._writes.keys(application), fleet.written(application))
@@ -179,6 +194,7 @@ class _Shared:
         # JSON values of the program's variables at the last conversion; `_values` holds the converted values
         self._converted: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
+        self._round, self._before = 0, self._store  # last round, and the store before it
         first = fleet.missions[index].first
         if first:  # earlier rounds are missing, so the values before the first recorded round are unknown
             for each in self._instances:
@@ -187,6 +203,7 @@ class _Shared:
 
     def after(self, round_: int) -> dict[str, Any]:
         """Return the values of the shared variables after a round. Call this for all rounds in order."""
+        self._round, self._before = round_, dict(self._store)
         self._store = dict(self._writes.after(self._store, round_))
         for each in self._instances:
             if each.history.may_act(round_):
@@ -199,6 +216,30 @@ class _Shared:
                 self._values[name] = self._value(name, key, recorded)
                 self._converted[name] = recorded
         return self._values
+
+    def changes(self, variable: str) -> list[SharedChange]:
+        """See FleetState.changes. In a round in which a write may lack a record, all writes together are one change."""
+        key = self._index, variable
+        before, after = self._before[key], self._store[key]
+        names = [application.name for application in self._system.applications]
+        if any(each.history.may_act(self._round) for each in self._instances if key in each.written):
+            if before == after:
+                return []
+            cause = "by writes of this round, not all of which were recorded"
+            return [self._change(variable, before, after, cause, ())]
+        found = []
+        for write in self._writes.ordered(self._round):
+            if write.key == key:
+                later = self._writes.written(before, write)
+                robot = self._missions[write.application].histories[write.pid].name
+                of = f" of {names[write.application]}" if len(names) > 1 else ""
+                found.append(self._change(variable, before, later, f"by {write.event}{of} on {robot}", (robot,)))
+                before = later
+        return found
+
+    def _change(self, variable: str, before: Any, after: Any, cause: str, robots: tuple[str, ...]) -> SharedChange:
+        key = self._index, variable
+        return SharedChange(self._value(variable, key, before), self._value(variable, key, after), cause, robots)
 
     def _value(self, name: str, key: StoreKey, recorded: Any) -> Any:
         of = self._meaning.value

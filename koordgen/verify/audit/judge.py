@@ -18,7 +18,7 @@ from koordgen.runtime.program.property import (
     Unknown,
     judged,
 )
-from koordgen.verify.audit.fleet_state import AuditedFleet, FleetState
+from koordgen.verify.audit.fleet_state import AuditedFleet, FleetState, SharedChange
 from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.audit.result import (
     AFTER,
@@ -107,6 +107,8 @@ class PropertyJudge:
             self._before = dict(whole.values)
             whole.advance()
             self._fleet(ObservationTime(round_, False), AFTER, "invariant")
+            if round_:
+                self._step_guarantees(round_)
             if round_ < last:
                 self._before = dict(whole.values)
                 whole.end()
@@ -126,7 +128,7 @@ class PropertyJudge:
         result: PropertyResult,
         came: _Evaluation,
         observation: ObservationTime,
-        violation: Callable[[], AuditViolation],
+        violation: Callable[[], AuditViolation | None],
     ) -> None:
         missing = self._missing(came, observation) if came.outcome == "unknown" else ""
         self._outcomes[next(k for k, f in enumerate(self.results) if f is result)].append((came.outcome, missing))
@@ -164,6 +166,31 @@ class PropertyJudge:
                 whose = replace(came, robot=pid)
                 result.unseen |= came.outcome == "unknown" and self._in_model(pid, round_)
                 self._note(result, whose, observation, partial(self._broken, assumption, whose, observation))
+
+    def _step_guarantees(self, round_: int) -> None:
+        """Judge the step guarantees of exported variables at each write of a round.
+
+        A step guarantee is reflexive, so a variable that nobody writes keeps it."""
+        observation, known = ObservationTime(round_, False), self._found.fleet(self._n, None)
+        for property_, result in self._properties:
+            if not property_.is_step:
+                continue
+            variable = next(name.removesuffix("'") for name in property_.reads)
+            changes = self._whole.changes(variable)
+            if not changes:
+                self._note(result, _Evaluation("held"), observation, lambda: None)
+            for change in changes:
+                known.put({variable: change.before, f"{variable}'": change.after})
+                came = evaluated(property_.holds, known)
+                self._note(result, came, observation, partial(self._broken_by, variable, change, came, observation))
+
+    def _broken_by(
+        self, variable: str, change: SharedChange, came: _Evaluation, observation: ObservationTime
+    ) -> AuditViolation:
+        values = [self._meaning.text(variable, value) for value in (change.before, change.after)]
+        why = came.why if came.outcome == "no value" else ""
+        row = ValueRow("", variable, *values)
+        return AuditViolation(observation, AFTER, change.robots, (), (change.cause,), why, (row,))
 
     def _in_model(self, pid: int, round_: int) -> bool:
         """Return whether a robot takes part in the mission both at the start and at the end of a round."""

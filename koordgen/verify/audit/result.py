@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-Of = Literal["invariant", "guarantee", "initially", "assume", "contract", "well-defined", "axiom", "loop invariant"]
+Of = Literal[
+    "invariant", "guarantee", "initially", "assume", "contract", "well-defined", "axiom", "loop invariant", "guarantee"
+]
 Verdict = Literal["held", "violated", "no value", "unknown", "unchecked"]
 Outcome = Literal["held", "violated", "no value", "unknown"]
 WORST: tuple[Outcome, ...] = ("violated", "no value", "unknown", "held")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.step import initial
@@ -13,6 +13,16 @@ from koordgen.verify.replay.values import plain
 StoreKey = tuple[int, str]  # index of the application that declares a shared variable, and the variable's name there
 # Store in JSON: shared variable -> value; for an allread variable, a list with one value per pid of its application.
 Shown = Mapping[StoreKey, Any]
+
+
+class RecordedWrite(NamedTuple):
+    """Write of one shared variable by an instance; `pid`: its pid in the application."""
+
+    application: int
+    pid: int
+    event: str
+    key: StoreKey
+    value: Any
 
 
 class RecordedWrites:
@@ -27,7 +37,7 @@ class RecordedWrites:
         every = list(enumerate(system.applications))
         self._locks = [{event.name: event.lock is not None for event in a.program.events} for _, a in every]
         self._numbers = {(i.application, i.pid): number for number, i in enumerate(system.instances())}
-        self._recorded: dict[int, list[tuple[bool, int, int, int, dict[str, Any]]]] = {}
+        self._recorded: dict[int, list[tuple[tuple[bool, int], list[RecordedWrite]]]] = {}
         self._keys = [{v.name: (system.owner(index, v.name), v.name) for v in a.program.shared} for index, a in every]
         self._initial: dict[StoreKey, Any] = {}
         self.slots: set[StoreKey] = set()
@@ -49,8 +59,14 @@ class RecordedWrites:
         """Add the writes of one record (of a round, or of `init`) of an instance. `pid`: its pid in the application."""
         if record.get("shared"):
             plain_event = not self._locks[application].get(record.get("event") or "", False)
-            write = plain_event, self._numbers[application, pid], application, pid, record["shared"]
-            self._recorded.setdefault(int(record.get("round", 0)), []).append(write)
+            order, keys = (plain_event, self._numbers[application, pid]), self._keys[application]
+            # a name that is no variable of the program occurs in a damaged trace only
+            writes = [
+                RecordedWrite(application, pid, record.get("event") or "init", keys[name], value)
+                for name, value in record["shared"].items()
+                if name in keys
+            ]
+            self._recorded.setdefault(int(record.get("round", 0)), []).append((order, writes))
 
     def first(self) -> Shown:
         """Return the initial store, before any `init` has run."""
@@ -60,19 +76,23 @@ class RecordedWrites:
         """Return the store after a round, computed from the store after the previous round.
 
         Round 0 is `init`."""
-        writes = self._recorded.get(round_)
-        if not writes:
+        if round_ not in self._recorded:
             return store
         found = dict(store)
-        for _, _, application, pid, shared in sorted(writes, key=lambda w: w[:2]):
-            for name, value in shared.items():
-                key = self._keys[application].get(name)
-                if key is None:
-                    continue  # no variable of the program, as in a damaged trace
-                found[key] = (
-                    [value if p == pid else own for p, own in enumerate(found[key])] if key in self.slots else value
-                )
+        for write in self.ordered(round_):
+            found[write.key] = self.written(found[write.key], write)
         return found
+
+    def ordered(self, round_: int) -> list[RecordedWrite]:
+        """Return the writes of a round in the order of their effects."""
+        groups = sorted(self._recorded.get(round_, []), key=lambda group: group[0])
+        return [write for _, writes in groups for write in writes]
+
+    def written(self, before: Any, write: RecordedWrite) -> Any:
+        """Return the value of a variable after a write; of an allread variable, all slots."""
+        if write.key not in self.slots:
+            return write.value
+        return [write.value if p == write.pid else own for p, own in enumerate(before)]
 
 
 def had_frame(record: Mapping[str, Any]) -> bool:
