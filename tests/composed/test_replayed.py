@@ -61,7 +61,7 @@ def agrees(folder: Path, system: System, seed: int, conditions: Conditions = QUI
     return counts
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(8))
 def test_traces_of_random_compositions_have_no_differences(tmp_path: Path, seed: int) -> None:
     assert agrees(tmp_path, random_system(seed), seed).rounds >= ROUNDS
 
