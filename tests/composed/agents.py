@@ -87,6 +87,7 @@ class ComposedAgents:
 
     records: record of each instance (by its number) and round.
     applied: the events of each round as the robots applied it.
+    files: traces of each robot, one for each start.
     """
 
     def __init__(self, system: System, seed: int = 1, conditions: Conditions = QUIET) -> None:
@@ -94,12 +95,13 @@ class ComposedAgents:
         self.fleet = Fleet(n=system.robots, seed=seed, program=self.program, conditions=conditions)
         self.records: dict[tuple[int, int], RoundRecord] = {}
         self.applied: dict[int, Applied] = {}
+        self.files: dict[int, list[Any]] = {robot: [] for robot in range(system.robots)}
         for robot in range(system.robots):
             self.boot(robot)
 
     def boot(self, robot: int) -> None:
         """Start or restart a robot's agent."""
-        self.fleet.boot(robot, FakePlatform(Point()))
+        self.files[robot].append(self.fleet.boot(robot, FakePlatform(Point())).file)
         numbers = {
             self.program.applications[i.application].name if self.program.is_composed else "": i.number
             for i in self.program.of_robot(robot)

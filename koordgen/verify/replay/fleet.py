@@ -22,13 +22,7 @@ def replay_trace(system: System, externs: Sequence[Externs], trace: TraceParts, 
 
     `externs`: the extern functions of each application. Raises BadTrace or Unreplayable."""
     instances = Instances(system, trace)
-    replays = [
-        Replay(
-            system.applications[i.application].program, externs[i.application], i.pid,
-            len(system.applications[i.application].members), counts, trace.followed,
-        )
-        for i in system.instances()
-    ]  # fmt: skip
+    replays = [Replay(system, i, externs[i.application], counts, trace.followed) for i in system.instances()]
     stores = None if trace.own else Stores(system, instances, trace)
     views: dict[int, tuple[int, Any]] = {}
     last = 0

@@ -10,10 +10,12 @@ from koordgen.lang.ir import decl
 from koordgen.lang.ir.ports import held
 from koordgen.lang.ir.types import Type
 from koordgen.lang.node import replace
+from koordgen.lang.semantics.composition import Instance, System
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.exec import Writes, declared
 from koordgen.lang.semantics.state import Robot, State, Store, World
-from koordgen.lang.semantics.step import Step, execute, has_priority, initial, select
+from koordgen.lang.semantics.step import Step, execute, has_priority, select
+from koordgen.lang.semantics.system import initial_system, view
 from koordgen.lang.semantics.values import Value
 from koordgen.verify.replay.store import had_frame
 from koordgen.verify.replay.trace import TraceLine
@@ -59,24 +61,25 @@ class Counts:
 
 @dataclass
 class Replay:
-    """Replay of one robot, or of one application on a robot that runs several.
+    """Replay of one instance: an application at work on one robot.
 
-    `pid`, `n_sys`: the robot's pid in the application, and the number of the application's members.
+    `instance`: the application's index in the system, the robot's pid in the application, and the robot.
     `externs`: the extern functions, as in `World`.
     `followed`: "run" or "step" if the traced run executed a counterexample; otherwise empty. In such a run, a robot may
         run any enabled event or no event. For "step", the record of `init` contains the first state of the
         counterexample."""
 
-    program: decl.Program
+    system: System
+    instance: Instance
     externs: Mapping[str, Any]
-    pid: int
-    n_sys: int
     counts: Counts = field(default_factory=Counts)
     followed: str = ""
 
     def __post_init__(self) -> None:
+        application = self.system.applications[self.instance.application]
+        self.program, self.pid, self.n_sys = application.program, self.instance.pid, len(application.members)
         self._types: dict[str, Type] = declared(self.program)
-        self._first = initial(self.program, self.n_sys)
+        self._first = self._initial({})
         self._slots = {v.name for v in self.program.shared if v.kind == "allread"}
         self._own: dict[str, Value] = dict(self._first.robots[self.pid].locals)
         self._actuators: dict[str, Value] = {}
@@ -87,6 +90,11 @@ class Replay:
         # Copy of the shared store that the robot read according to its last record. An allread variable maps pid ->
         # value.
         self.saw: Mapping[str, Any] | None = None
+
+    def _initial(self, sensors: Mapping[str, Value]) -> State:
+        """Return the state before any `init`, as the application sees it. `sensors`: first values of this robot."""
+        given = [sensors if robot == self.instance.robot else {} for robot in range(self.system.robots)]
+        return view(self.system, initial_system(self.system, given), self.instance.application)
 
     def line(self, line: TraceLine) -> Iterator[Difference]:
         """Replay one record, and yield the differences in the record. Raises Unreplayable."""
@@ -151,7 +159,7 @@ class Replay:
 
     def _ran_init(self, line: TraceLine, record: dict[str, Any]) -> Iterator[Difference]:
         given = {**self._unset(record), **self._values(record["sensors"])}
-        state = initial(self.program, self.n_sys, [given if p == self.pid else {} for p in range(self.n_sys)])
+        state = self._initial(given)
         actuators = {n: v for n, v in state.robots[self.pid].ports.items() if n not in record["sensors"]}
         done = execute(self.program, self.program.init, state, self.pid, self._world(record))
         if isinstance(done, Discarded):
@@ -196,10 +204,11 @@ class Replay:
         self._own |= self._values(record.get("locals", {}))
         self._actuators |= self._values(record.get("actuators", {}))
         for name, value in record.get("shared", {}).items():
+            written = from_trace(value, self._types[name])
+            # `copy` has no own slots. An allwrite variable is in `copy` if it differs from the last copy, whatever this
+            # instance wrote: another write of the same round may have restored the old value.
             if name in self._slots:
-                self._store[name][self.pid] = from_trace(value, self._types[name])
-            else:
-                self._store[name] = from_trace(value, self._types[name])
+                self._store[name][self.pid] = written
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
         """Return the event that the robot must have chosen; None if the robot must choose no event.

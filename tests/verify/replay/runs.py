@@ -58,18 +58,27 @@ class Run:
 
     def save(self) -> Path:
         """The folder, with each robot's trace and the merged one."""
-        own = []
-        for pid in range(self.n):
-            path = self.folder / "robots" / NAMES[pid] / "trace.jsonl"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(b"".join(file.getvalue() for file in self.files[pid]))
-            own.append(path)
         robots = tuple(RobotName(NAMES[pid], pid, "fake") for pid in range(self.n))
-        header = Header(schema.FORMAT, "app", self.hash, self.fleet.delta, 0, robots)
-        poses = self.folder / "poses.jsonl"
-        poses.write_bytes(b"")
-        trace.merge(self.folder / "trace.jsonl", header, 0.0, poses, own, [End(self.fleet.time.time, "completed")])
+        save_traces(
+            self.folder,
+            Header(schema.FORMAT, "app", self.hash, self.fleet.delta, 0, robots),
+            self.files,
+            self.fleet.time.time,
+        )
         return self.folder
+
+
+def save_traces(folder: Path, header: Header, files: dict[int, list[Any]], end: float) -> None:
+    """Write each robot's trace, and the merged one, as a run leaves them. `files`: those of each start of a robot."""
+    own = []
+    for robot in header.robots:
+        path = folder / "robots" / robot.name / "trace.jsonl"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"".join(file.getvalue() for file in files[robot.pid]))
+        own.append(path)
+    poses = folder / "poses.jsonl"
+    poses.write_bytes(b"")
+    trace.merge(folder / "trace.jsonl", header, 0.0, poses, own, [End(end, "completed")])
 
 
 def _start(pid: int) -> Any:
