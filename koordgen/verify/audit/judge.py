@@ -34,7 +34,6 @@ from koordgen.verify.audit.result import (
 MOST_READ = 8  # largest number of values that the report of a violation shows
 MOST_ROBOTS = 6  # largest number of robots in the table of a violation
 _ANY = "the run replayed a counterexample, which begins in any state in which the invariants hold"
-_STEP = "it compares the values before and after each write, and an audit sees states"
 Progress = Callable[[int, int], None]  # function that is called with the present round and the number of rounds
 
 
@@ -80,10 +79,9 @@ class PropertyJudge:
         self._meaning, self._mission = meaning, mission
         found = self._found = meaning.found
         n = self._n = len(mission.histories)
-        self._properties = [(p, PropertyResult(p.kind, p.name, p.line)) for p in found.properties if not p.is_step]
+        self._properties = [(p, PropertyResult(p.kind, p.name, p.line)) for p in found.properties]
         self._assumptions = [(a, PropertyResult("assume", a.module, a.line)) for a in found.assumptions]
         unchecked = [PropertyResult(u.kind, u.name, u.line, u.why) for u in found.unchecked]  # type: ignore[arg-type]
-        unchecked += [PropertyResult(p.kind, p.name, p.line, _STEP) for p in found.properties if p.is_step]
         self.results = [f for _, f in self._properties] + [f for _, f in self._assumptions] + unchecked
         if mission.step:
             for result in self.results:
@@ -139,8 +137,9 @@ class PropertyJudge:
         self._known.put(self._whole.values)
         for property_, result in self._properties:
             sensed = any(name in self._whole.sensors for name in property_.reads)
+            # a state guarantee holds in every state, as an invariant does
             of = "invariant" if property_.kind == "guarantee" else property_.kind
-            if of != kind or (observation.end and not sensed):
+            if of != kind or property_.is_step or (observation.end and not sensed):
                 continue
             came = evaluated(property_.holds, self._known)
             self._note(result, came, observation, partial(self._violation, property_, came, observation, where))
