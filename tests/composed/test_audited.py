@@ -202,7 +202,11 @@ def test_a_violation_names_application_robot_and_round(
     assert main(["audit", str(folder), "--plot", str(tmp_path / "audit.png")]) == 3
     text = capsys.readouterr().out
     mapping, _, task = text.partition("task: task.koord")
-    assert "violated" not in mapping.splitlines()[3] and "is violated (task.koord:" in task and "round 4 at its end" in task
+    assert (
+        "violated" not in mapping.splitlines()[3]
+        and "is violated (task.koord:" in task
+        and "round 4 at its end" in task
+    )
     assert (tmp_path / "audit.png").stat().st_size > 1000
 
 

@@ -230,7 +230,7 @@ class Round(msgspec.Struct, frozen=True, tag_field="kind", tag="round"):
     violated: tuple[int, ...] = ()  # source lines of the loop invariants that were false in the event
     stopped: bool = False  # the program has stopped on this robot
     restored: Restored | None = None  # state with which the robot continued when it rejoined before this round
-    clock_bound: float = 0.0  # largest possible error of the robot's fleet time [s]
+    clock_bound: float | None = 0.0  # largest possible error of the robot's fleet time; null: not known [s]
     counters: Mapping[str, int] = {}  # counters of the runtime that changed since the round before
     time: float = 0.0  # only in a robot's own trace: time by the robot's clock [s]
     t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]

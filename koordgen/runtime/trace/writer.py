@@ -8,6 +8,7 @@ that a reader needs: header, phases, view and checkpoint."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import IO, TYPE_CHECKING, Any, Literal
@@ -153,7 +154,7 @@ class Trace:
     def round(self, record: RoundRecord, clock_bound: float, counters: Mapping[str, int]) -> None:
         """Write one round of the robot.
 
-        `clock_bound`: largest error of the robot's fleet time in seconds. `counters`: the counters that changed.
+        `clock_bound`: largest error of the robot's fleet time in seconds; inf: not known. `counters`: the counters that changed.
         `locals` of the record contains the local variables that the event wrote. `copy` of the record contains the
         changes of the robot's copy of the shared variables since the last record; for an allread variable pid -> value.
         """
@@ -170,7 +171,7 @@ class Trace:
             _written(record) or LEFT_OUT, shared, actuators, of.changed(record) or LEFT_OUT,
             record.calls or LEFT_OUT, violated or LEFT_OUT, stopped or LEFT_OUT,
             _restored(restored) if restored else LEFT_OUT,
-            round(clock_bound, 6), counters or LEFT_OUT,
+            round(clock_bound, 6) if clock_bound < math.inf else None, counters or LEFT_OUT,
             record.time, LEFT_OUT, LEFT_OUT, of.name,
         )  # fmt: skip
         self._write(line)

@@ -26,7 +26,7 @@ def notes(mission: FleetMission) -> list[str]:
                 )
                 for r in rounds
             ]
-            bound = max(float(r.get("clock_bound", 0.0)) for r in rounds)
+            bound = max(float(r.get("clock_bound", 0.0) or 0.0) for r in rounds)  # null: not known
             (first, origin), *_ = ticks
             off, when = max((abs(tick - origin) - DRIFT * delta * abs(r - first), r) for r, tick in ticks)
             if off > SLACK + 2 * bound:

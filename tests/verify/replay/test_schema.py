@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -83,6 +84,13 @@ def test_each_key_of_a_round_has_its_own_value() -> None:
         "sensors": {}, "shared": {}, "actuators": {}, "clock_bound": 0.0021, "counters": {"heard": 19}, "time": 18.0,
         "application": PROGRAM.name,
     }  # fmt: skip
+
+
+def test_a_robot_that_does_not_know_the_fleets_time_writes_a_record_that_readers_accept() -> None:
+    """So it is right after a restart, until the first exchange with another robot."""
+    file = io.BytesIO()
+    Trace(file, print).round(RoundRecord(1, 2.0, 0.0, {}, None, skipped="not current"), math.inf, {})
+    assert json.loads(file.getvalue())["clock_bound"] is None and schema.misfit(file.getvalue()) == ""
 
 
 def test_all_that_robots_write_fits_the_schema() -> None:
