@@ -154,7 +154,8 @@ class Trace:
     def round(self, record: RoundRecord, clock_bound: float, counters: Mapping[str, int]) -> None:
         """Write one round of the robot.
 
-        `clock_bound`: largest error of the robot's fleet time in seconds; inf: not known. `counters`: the counters that changed.
+        `clock_bound`: largest error of the robot's fleet time in seconds; inf: not known.
+        `counters`: the counters that changed.
         `locals` of the record contains the local variables that the event wrote. `copy` of the record contains the
         changes of the robot's copy of the shared variables since the last record; for an allread variable pid -> value.
         """
