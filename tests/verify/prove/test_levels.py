@@ -100,6 +100,29 @@ def test_an_assumption_that_an_inner_step_may_break_names_the_step(case: str, tm
     assert found.verdict == "UNPROVED" and why in found.reason
 
 
+def test_a_command_clears_a_sensor_whatever_the_inner_program_provides(tmp_path: Path, solver: Solver) -> None:
+    """`reached` is false after a command, so what is not reached before must not be reached without a step."""
+    _, outer = programs(tmp_path, "reached or not reached'")
+    text = (tmp_path / "inner.koord").read_text().replace("bool reached = centre == goal", "bool reached = True")
+    (tmp_path / "inner.koord").write_text(text)
+    (found,) = prove_levels(check_file(str(tmp_path / "inner.koord")).program, outer, {}, {}, solver).provided
+    assert found.verdict == "UNPROVED" and "it is not true at once" in found.reason
+
+
+def test_functions_of_the_outer_program_are_known_and_extern_ones_are_not(tmp_path: Path, solver: Solver) -> None:
+    inner, _ = programs(tmp_path, BETWEEN)
+    body = "fun low(float a, float b) -> float:\n  return least(a, b)\n"
+    body += "fun least(float a, float b) -> float:\n  return min(a, b)\n"
+    assume = "low(position, target) <= position' and position' <= max(position, target)"
+    (tmp_path / "outer.koord").write_text(body + OUTER.format(assume=assume))
+    (found,) = prove_levels(inner, check_file(str(tmp_path / "outer.koord")).program, {}, {}, solver).provided
+    assert found.verdict == "PROVED", found.reason
+    body = "extern fun far(float a) -> float\nfun low(float a) -> float:\n  return far(a)\n"
+    (tmp_path / "outer.koord").write_text(body + OUTER.format(assume="low(position') >= 0"))
+    (found,) = prove_levels(inner, check_file(str(tmp_path / "outer.koord")).program, {}, {}, solver).provided
+    assert (found.verdict, found.reason) == ("UNPROVED", "far is an extern function")
+
+
 def test_a_proof_may_rest_on_an_invariant_of_the_inner_program(tmp_path: Path, solver: Solver) -> None:
     last = "invariant Low: centre <= 0 or centre > 0\ninvariant Counted: forall i in ID: k[i] >= 0\n"
     found = judged(tmp_path, solver, "position' <= position or position' > position", last=last)
@@ -191,7 +214,7 @@ def test_the_command_prints_both_levels(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["prove", outer, "--inner", inner]) == 0
     text = capsys.readouterr().out
     assert "each robot of outer.koord is a fleet of inner.koord" in text and "PROVED    assume" in text
-    assert "not covered: the time from a command" in text
+    assert "not covered: the time before the first command" in text
     assert main(["prove", outer, "--inner", inner, "--format", "json"]) == 0
     found = json.loads(capsys.readouterr().out)["levels"]
     assert [each["verdict"] for each in found["assumptions"]] == ["PROVED"]

@@ -4,7 +4,7 @@ An assumption relates the ports of a module at the start of an outer round and a
 is the expression that the program provides, an actuator the variable that takes its commands. Two properties of the
 inner program together give the assumption (ADR 0056):
 
-- *at once*: it holds with the present values for both times;
+- *at once*: it holds with the present values for both times, also if commands have cleared sensors;
 - *kept*: with the values at some earlier time, which are rigid, each inner step keeps it. Commands are left out: with
   a command a new outer round begins.
 
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from koordgen.lang.ir import decl
 from koordgen.lang.ir import expr as ir
 from koordgen.lang.ir.tree import map_children, walk
-from koordgen.lang.ir.types import INT
+from koordgen.lang.ir.types import BOOL, INT
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 
@@ -36,11 +36,12 @@ class Unprovable(Exception):
 class ProvidedAssumption(NamedTuple):
     """Assumption of the outer program about a module.
 
-    `once`, `kept`: the properties of the inner program; None if `why` says why there are none."""
+    `once`, `kept`: the properties of the inner program; `once` has one for each set of sensors that commands may have
+        cleared. Without them `why` gives the reason."""
 
     module: str
     assumption: decl.Assumption
-    once: decl.Property | None = None
+    once: tuple[decl.Property, ...] = ()
     kept: decl.Property | None = None
     why: str = ""
 
@@ -55,15 +56,14 @@ class ProvidedModules:
         self._provided = {m.name: {p.port.name: p for p in m.ports} for m in inner.provides}
         self._params = params
         self.assumptions = [
-            self._stated(module, assumption, number)
-            for module in outer.modules
-            for number, assumption in enumerate(module.assumptions)
+            self._stated(module, assumption) for module in outer.modules for assumption in module.assumptions
         ]
 
     def program(self, properties: tuple[decl.Property, ...]) -> decl.Program:
         """Return the inner program with other properties, which may read names of the outer program."""
-        called = {_outer(function.name): function for function in self.outer.functions}
-        functions = tuple([self._renamed(replace(f, name=name)) for name, f in called.items()])
+        called = {f.name for each in self.assumptions if each.kept for f in self._called(each.assumption.formula)}
+        used = [f for f in self.outer.functions if f.name in called]  # in their order: callees come first
+        functions = tuple([self._renamed(replace(f, name=_outer(f.name))) for f in used])
         return replace(
             self.inner,
             params=(*self.inner.params, *self._outer_params(), *self._rigid()),
@@ -93,19 +93,28 @@ class ProvidedModules:
             if p.port.direction == "sensor"
         ]
 
-    def _stated(self, module: decl.Module, assumption: decl.Assumption, number: int) -> ProvidedAssumption:
-        name = f"{module.name} line {assumption.span.line}"
+    def _stated(self, module: decl.Module, assumption: decl.Assumption) -> ProvidedAssumption:
+        name, formula, span = f"{module.name} line {assumption.span.line}", assumption.formula, _raised(assumption.span)
         try:
             self._check(module, assumption)
-            once, kept = (
-                decl.Property(
-                    "invariant", f"{name}, {what}", self._moved(assumption.formula, rigid), _raised(assumption.span)
-                )
-                for what, rigid in (("at once", False), ("kept", True))
-            )
         except Unprovable as reason:
             return ProvidedAssumption(module.name, assumption, why=str(reason))
-        return ProvidedAssumption(module.name, assumption, once, kept)
+        once = [
+            decl.Property("invariant", f"{name}, at once {number}", self._moved(formula, False, cleared), span)
+            for number, cleared in enumerate(self._cleared(module, formula))
+        ]
+        kept = decl.Property("invariant", f"{name}, kept", self._moved(formula, True), span)
+        return ProvidedAssumption(module.name, assumption, tuple(once), kept)
+
+    def _cleared(self, module: decl.Module, formula: ir.Expr) -> list[frozenset[str]]:
+        """Return the sets of sensors in a formula that commands of the outer round may have cleared, none among them.
+
+        A sensor that a command clears is false from the command on, whatever the inner program provides."""
+        found = {frozenset[str]()}
+        for cleared in [frozenset(port.meaning.clears) for port in module.ports]:
+            found |= {cleared | other for other in found}
+        read = {n.port for n in walk(formula) if isinstance(n, ir.PortRead) and not n.primed}
+        return sorted({cleared & read for cleared in found}, key=sorted)
 
     def _check(self, module: decl.Module, assumption: decl.Assumption) -> None:
         """Raise Unprovable if the inner program does not provide what an assumption reads."""
@@ -113,7 +122,11 @@ class ProvidedModules:
         if provided is None:
             raise Unprovable(f"{path} does not provide {module.name}")
         declared = {port.name: port for port in module.ports}
-        for node in walk(assumption.formula):
+        for record in self.outer.records:
+            theirs_too = next((r for r in self.inner.records if r.type.name == record.type.name), record)
+            if theirs_too.type != record.type:
+                raise Unprovable(f"the record {record.type.name} has other fields in {path}")
+        for node in walk((assumption.formula, self._called(assumption.formula))):
             match node:
                 case ir.PortCall(_, port):
                     raise Unprovable(f"{module.name}.{port} is called, and a fleet cannot provide a callable port")
@@ -129,14 +142,23 @@ class ProvidedModules:
         if decl.goals(assumption):
             raise Unprovable("it is about all arguments of a callable port")
 
-    def _moved(self, node: Any, rigid: bool) -> Any:
-        """Return a formula about ports as one about the inner program's state. `rigid`: the unprimed sensors are."""
+    def _moved(self, node: Any, rigid: bool, cleared: frozenset[str] = frozenset()) -> Any:
+        """Return a formula about ports as one about the inner program's state.
+
+        `rigid`: the unprimed sensors have their values at the start of the outer round, which are arbitrary.
+        `cleared`: unprimed sensors that are false."""
+
+        def moved(child: Any) -> Any:
+            return self._moved(child, rigid, cleared)
+
         match node:
             case ir.PortRead(module, port, primed, type_, span):
                 provided = self._provided[module][port]
-                if rigid and not primed and provided.port.direction == "sensor":
-                    return ir.ParamRead(f"{module}.{port}{START}", type_, _raised(span))
-                return provided.value
+                if primed or provided.port.direction != "sensor":
+                    return provided.value
+                if port in cleared:
+                    return ir.Const(False, BOOL, _raised(span))
+                return ir.ParamRead(f"{module}.{port}{START}", type_, _raised(span)) if rigid else provided.value
             case ir.Pid(type_, span):
                 return ir.ParamRead(_outer("pid"), type_, _raised(span))
             case ir.NSys(type_, span):
@@ -144,11 +166,21 @@ class ProvidedModules:
             case ir.ParamRead(name):
                 return replace(node, name=_outer(name), span=_raised(node.span))
             case ir.Call(name):
-                return map_children(
-                    replace(node, name=_outer(name), span=_raised(node.span)), lambda c: self._moved(c, rigid)
-                )
-        moved = map_children(node, lambda child: self._moved(child, rigid))
-        return replace(moved, span=_raised(moved.span)) if hasattr(moved, "span") else moved
+                return map_children(replace(node, name=_outer(name), span=_raised(node.span)), moved)
+        found = map_children(node, moved)
+        return replace(found, span=_raised(found.span)) if hasattr(found, "span") else found
+
+    def _called(self, formula: ir.Expr) -> tuple[decl.Function, ...]:
+        """Return the functions that a formula calls, directly or not."""
+        known = {function.name: function for function in self.outer.functions}
+        found: dict[str, decl.Function] = {}
+        pending: list[ir.Expr | decl.Function] = [formula]
+        while pending:
+            for node in walk(pending.pop()):
+                if isinstance(node, ir.Call) and node.name in known and node.name not in found:
+                    found[node.name] = known[node.name]
+                    pending.append(known[node.name])
+        return tuple(found.values())
 
     def _renamed(self, node: Any) -> Any:
         """Return a function of the outer program with its names in the inner one."""

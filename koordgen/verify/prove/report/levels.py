@@ -17,7 +17,10 @@ from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver
 
 # Not asked of a kept assumption: it is about any earlier time, and a command begins a new outer round.
 NOT_KEPT: frozenset[Kind] = frozenset(("base", "interference"))
-SLACK = "not covered: the time from a command until the inner round that applies it, at most three inner rounds"
+SLACK = (
+    "not covered: the time before the first command, and from a command until the inner round that applies it, at most "
+    "three inner rounds"
+)
 
 
 class ProvidedVerdict(NamedTuple):
@@ -97,11 +100,9 @@ class _Search:
 
     def run(self) -> None:
         every = self.stated.assumptions
-        once = self._shown([each.once for each in every if each.once is not None], self.proved, frozenset())
+        once = self._shown([p for each in every for p in each.once], self.proved, frozenset())
         names = {p.name for p in once}
-        pairs = [
-            each.kept for each in every if each.kept is not None and each.once is not None and each.once.name in names
-        ]
+        pairs = [each.kept for each in every if each.kept is not None and {p.name for p in each.once} <= names]
         self._shown(pairs, (*self.proved, *once), NOT_KEPT)
 
     def _shown(
@@ -136,22 +137,23 @@ def _step(outcome: ObligationResult) -> str:
 
 
 def _verdict(each: ProvidedAssumption, search: _Search, vacuous: str) -> ProvidedVerdict:
-    has_slack = each.once is not None and _reads_actuator(each, search.stated)
+    has_slack = each.kept is not None and _reads_actuator(each, search.stated)
 
     def found(
         verdict: Literal["PROVED", "UNPROVED"], reason: str = "", rests_on: tuple[str, ...] = ()
     ) -> ProvidedVerdict:
         return ProvidedVerdict(each.assumption, each.module, verdict, reason, has_slack, rests_on)
 
-    if each.once is None or each.kept is None:
+    if each.kept is None:
         return found("UNPROVED", each.why)
     if vacuous:
         return found("UNPROVED", vacuous)
-    for property_, what in ((each.once, "it is not true at once"), (each.kept, "it is not kept")):
+    once = [(property_, "it is not true at once") for property_ in each.once]
+    for property_, what in (*once, (each.kept, "it is not kept")):
         if property_.name in search.failed:
             steps = ", ".join(dict.fromkeys(search.failed[property_.name]))
             return found("UNPROVED", f"{what}: {steps} may break it")
-    own = [o for o in search.used if o.obligation.invariant in (each.once.name, each.kept.name)]
+    own = [o for o in search.used if o.obligation.invariant in {p.name for p in (*each.once, each.kept)}]
     path = search.stated.inner.path
     lines = {fact.line for o in own for fact in o.obligation.facts if fact.file == path}
     rests = [
