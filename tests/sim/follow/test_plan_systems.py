@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 from koordgen.lang.ir import decl
-from koordgen.lang.semantics.composition import System
+from koordgen.lang.semantics.composition import Application, System
 from koordgen.verify.explore.system.search import SystemViolation
 from koordgen.verify.explore.system.trace import trace
 from koordgen.verify.follow.plan import ExecutionPlan, ModelOnly, make_plan
 from koordgen.verify.follow.read import read
 from koordgen.verify.prove.report.trace import RunOrigin
+from tests.lang.semantics.compositions import compiled
 from tests.verify.explore.systems import explored, guarded_system
 
 NAMES = ("ann", "bob", "cleo")
@@ -60,6 +61,39 @@ def check_last_step(system: System, found: SystemViolation, plan: ExecutionPlan)
         last = found.run_states[-1]
         events = plan.rounds[-2].events
         assert last.instance is not None and events[last.instance] == last.event
+
+
+def planned_events(system: System, folder: Path) -> list[dict[int, str]]:
+    """Return the events of each of the agents' rounds for the shortest run to a violation."""
+    _, result = explored(system, deadlock=False)
+    assert result.violation is not None and result.violation.run_states[-1].round == 1
+    return [dict(each.events) for each in planned(system, result.violation, folder).rounds]
+
+
+def test_transactions_of_two_applications_with_one_lock_take_two_rounds(tmp_path: Path) -> None:
+    """Both write what nobody reads in this run, so the state after one round of agents would be that of the trace."""
+    first = "export:\n  write int a\nallwrite: int a\nTake:\n  pre: a == 0\n  eff: atomic: a = 1\n"
+    second = "import First:\n  write int a\nallwrite: int b\nTake:\n  pre: b == 0\n  eff: atomic: b = 1\n"
+    second += "Both:\n  pre: a + b > 5\n  eff: atomic: a = b\ninvariant One: a + b < 2\n"
+    bound = (("First", "first"),)
+    applications = (
+        Application("first", compiled("first", first), (0,)),
+        Application("second", compiled("second", second), (1,), bound),
+    )
+    assert planned_events(System(applications, 2), tmp_path)[:2] in (
+        [{0: "Take"}, {1: "Take"}],
+        [{1: "Take"}, {0: "Take"}],
+    )
+
+
+def test_a_broken_step_guarantee_keeps_the_order_of_its_step(tmp_path: Path) -> None:
+    """In one round, agents would write slot 0 first, which keeps the guarantee and leads to the same state."""
+    text = (
+        "export:\n  int n[N_SYS]\n    guarantee Led: not (n[N_SYS - 1] > 0 and n[0] < n'[0])\nallread: int n[N_SYS]\n"
+    )
+    program = compiled("first", text + "Up:\n  pre: n[pid] < 1\n  eff: n[pid] = 1\n")
+    system = System((Application("first", program, (0, 1)),), 2)
+    assert planned_events(system, tmp_path) == [{1: "Up"}, {0: "Up"}, {}]
 
 
 @pytest.mark.parametrize("seed", range(8))
