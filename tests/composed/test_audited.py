@@ -213,7 +213,8 @@ def test_a_violation_names_application_robot_and_round(
 def test_a_trace_of_another_fleet_file_or_without_its_programs_is_refused(
     survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = survey / "robots" / "alice" / "trace.jsonl"
+    assert main(["replay", str(survey / "robots" / "alice" / "trace.jsonl")]) == 0, "the run's trace names the programs"
+    own = shutil.copy(survey / "robots" / "alice" / "trace.jsonl", tmp_path / "alice.jsonl")
     capsys.readouterr()
     assert main(["audit", str(own)]) == 2
     assert "name the fleet file with --fleet" in capsys.readouterr().err

@@ -99,17 +99,30 @@ def _of_run(options: Namespace, trace: Path, header: Mapping[str, Any], n_sys: i
 
     _only_for_one_program(options)
     folder = next((f for f in _folders(trace) if any((f / SOURCE).glob("*/*.koord"))), None)
-    if folder is None or "composition" not in header:
+    composition = None if folder is None else header.get("composition") or _composition_of(folder, header)
+    if folder is None or composition is None:
         alone = f"{trace} is the trace of one robot"
         what = alone if folder is not None else f"there is no folder {SOURCE}/ beside {trace}"
         raise Failure(USAGE, f"{what}, and the fleet has several applications", "name the fleet file with --fleet")
     try:
-        applications = tuple([_application(folder, part) for part in header["composition"]])
+        applications = tuple([_application(folder, part) for part in composition])
         system = with_sizes(System(applications, n_sys))
     except (LookupError, TypeError, ValueError, StopIteration) as error:
         raise Failure(WRONG, f"{trace}: a broken header: {error!r}", "name the fleet file with --fleet") from None
     files = [functions_file(a.program, folder / SOURCE / a.name, None) for a in applications]
     return TracedFleet(system, tuple(files))
+
+
+def _composition_of(folder: Path, header: Mapping[str, Any]) -> Any:
+    """Return the composition in the merged trace of a run, for a robot's own trace in the run's folder, or None."""
+    from koordgen.runtime.trace.schema import BadTrace
+    from koordgen.verify.replay.trace import header_of
+
+    try:
+        merged = header_of(folder / "trace.jsonl") or {}
+    except (BadTrace, OSError):
+        return None
+    return merged.get("composition") if merged.get("program_hash") == header.get("program_hash") else None
 
 
 def _application(folder: Path, part: Mapping[str, Any]) -> Application:
