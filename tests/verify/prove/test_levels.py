@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from random import Random
@@ -19,10 +20,11 @@ from koordgen.lang.semantics.state import State
 from koordgen.lang.semantics.step import initial, round_, run_init
 from koordgen.verify.prove.obligations.provided import START, ProvidedModules
 from koordgen.verify.prove.report import levels
-from koordgen.verify.prove.report.levels import LevelVerdicts, prove_levels
+from koordgen.verify.prove.report.levels import LevelVerdicts, levels_text, prove_levels
 from koordgen.verify.prove.smt.obligation import Kind
 from koordgen.verify.prove.smt.solve import Limits, Solver
 
+ROOT = Path(__file__).parents[3]
 OUTER = """\
 using Motion:
   sensors:
@@ -206,6 +208,17 @@ def test_a_prover_without_one_of_the_two_rules_is_contradicted(rule: str, tmp_pa
         (found,) = judged(tmp_path, solver, assume, next=next).provided
     assert found.verdict == "PROVED"
     assert any(contradicted(tmp_path, assume, next, seed) for seed in range(40))
+
+
+def test_the_example_of_the_page_is_proved(tmp_path: Path, solver: Solver) -> None:
+    page = (ROOT / "docs/explanation/proofs.md").read_text()
+    (text,) = re.findall(r"```koord\n(# column.koord\n.*?)```", page, re.DOTALL)
+    (tmp_path / "column.koord").write_text(text)
+    inner = check_file(str(tmp_path / "column.koord")).program
+    found = prove_levels(inner, check_file(str(ROOT / "examples/lineform/geofence.koord")).program, {}, {}, solver)
+    assert found.is_proved
+    shown = page[page.index("each robot of geofence.koord is a fleet") :]
+    assert shown.startswith(levels_text(found).partition("\nassumed")[0].rstrip()), "as the command prints it"
 
 
 def test_the_command_prints_both_levels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
