@@ -155,6 +155,36 @@ def test_without_a_robots_trace_its_values_are_unknown(tmp_path: Path) -> None:
     assert reader_results["Seen"].verdict == reader_results["Small"].verdict == "held"
 
 
+SWAPS = """\
+export:
+  int n
+    guarantee Up: n <= n'
+allwrite: int n
+local: int k
+Go:
+  pre: k < 90
+  eff:
+    k += 1
+    n = 5 * (1 - pid)
+"""
+
+
+def test_a_write_that_breaks_a_guarantee_is_named_and_a_missing_one_is_not_held(tmp_path: Path) -> None:
+    """Two robots write 5 and then 0 in each round, so the values at its ends do not show the write that breaks it."""
+    reader = compiled("reader", "import Owner:\n  int n\nlocal: int s\nRead:\n  pre: True\n  eff: s = n\n")
+    bound = (("Owner", "owner"),)
+    system = System(
+        (Application("owner", compiled("owner", SWAPS), (0, 1)), Application("reader", reader, (2,), bound)), 3
+    )
+    folder = flown(tmp_path, ComposedAgents(system).run(ROUNDS))
+    robots = [folder / "robots" / name for name in NAMES[:3]]
+    up = audited(system, *robots)[0]["Up"]
+    assert up.first is not None and up.first.observation.round == 1
+    assert up.first.read == (f"by Go of owner on {NAMES[1]}",) and up.first.robots == (NAMES[1],)
+    for traces in ((1, 2), (0, 2), (2,)):
+        assert audited(system, *[robots[robot] for robot in traces])[0]["Up"].verdict == "unknown", traces
+
+
 def edited(path: Path, change: Callable[[dict[str, Any]], bool]) -> None:
     """Change the first record that `change` accepts."""
     lines = path.read_text().splitlines()

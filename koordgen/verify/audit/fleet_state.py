@@ -36,12 +36,14 @@ class AuditedFleet(NamedTuple):
 class SharedChange(NamedTuple):
     """Change of a shared variable by one write, or by all writes of a round whose writes are not all known.
 
-    `before`, `after`: values for generated code. `cause`: the write, as text. `robots`: name of the writing robot."""
+    `before`, `after`: values for generated code. `cause`: the write, as text. `robots`: name of the writing robot.
+    `is_single`: whether it is one recorded write. Of several writes, one may break what the values at the ends keep."""
 
     before: Any
     after: Any
     cause: str
     robots: tuple[str, ...]
+    is_single: bool = True
 
 
 class FleetState:
@@ -223,10 +225,8 @@ class _Shared:
         before, after = self._before[key], self._store[key]
         names = [application.name for application in self._system.applications]
         if any(each.history.may_act(self._round) for each in self._instances if key in each.written):
-            if before == after:
-                return []
             cause = "by writes of this round, not all of which were recorded"
-            return [self._change(variable, before, after, cause, ())]
+            return [self._change(variable, before, after, cause, ())._replace(is_single=False)]
         found = []
         for write in self._writes.ordered(self._round):
             if write.key == key:
@@ -271,7 +271,7 @@ class _Shared:
             key = each.keys.get(name)
             if key not in self._writes.slots:
                 copy[name] = held
-            elif isinstance(held, list):  # an imported list has all slots
+            elif isinstance(held, list):  # an imported allread variable is a list of all slots
                 copy[name] = dict(enumerate(held))
             elif isinstance(held, dict):
                 copy.setdefault(name, {}).update(

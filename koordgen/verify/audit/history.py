@@ -184,7 +184,7 @@ def mission(logs: Sequence[TraceFile]) -> FleetMission:
 
 
 def of_application(whole: FleetMission, application: Application) -> FleetMission:
-    """Return the mission of one of several applications: its histories are those of its members, by their pids there.
+    """Return the part of a mission that concerns one application: the histories of its members, by their pids in it.
 
     `whole`: the mission of the fleet, whose histories have the records of all applications."""
     name, histories = application.name, list[RobotHistory]()

@@ -181,6 +181,8 @@ class PropertyJudge:
             for change in changes:
                 known.put({variable: change.before, f"{variable}'": change.after})
                 came = evaluated(property_.holds, known)
+                if came.outcome == "held" and not change.is_single:
+                    came = _Evaluation("unknown", variable)
                 self._note(result, came, observation, partial(self._broken_by, variable, change, came, observation))
 
     def _broken_by(

@@ -1,4 +1,4 @@
-"""Result of an audit for one property: outcomes in rounds, the first violation, and unknown values."""
+"""Result of an audit for one property: the outcome in each round, the first violation, and unknown values."""
 
 from __future__ import annotations
 

@@ -161,10 +161,10 @@ def sentence(blame: Blame, audit: Audit) -> str:
         told = [_broke(result, audit.mission) for _, result in blame.broke]
         verb = "rests" if said == PROVED else "would rest"
         return f"the proof of {name} {verb} on {'; and on '.join(told)}{uncovered}"
-    seen = f"no assumption of its proof broke before{uncovered}"
+    seen = f"no assumption of its proof broke before it{uncovered}"
     if blame.unseen:
         texts = ", ".join(f"{e.kind} in line {e.line}" for e in blame.unseen)
-        seen = f"no assumption of its proof was seen to break before, but some were not observed: {texts}{uncovered}"
+        seen = f"no assumption of its proof was seen to break before it, but some were not observed: {texts}{uncovered}"
     bug = (
         "koordgen has a bug, or robots did something that its model does not contain (`koordgen replay` compares "
         "what robots did with the program): please report the violation, with these traces"

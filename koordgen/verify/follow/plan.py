@@ -37,10 +37,13 @@ from koordgen.verify.replay.values import BadValue, from_trace, plain
 
 # Largest number of events in a round for which every split is tried. With more events, fewer splits are tried.
 MOST = 5
-# Number of agents' rounds at the end of a deadlock's plan in which every robot may choose its events itself.
+# A plan for a deadlock ends with this number of agents' rounds, in which each robot chooses its own event.
 LATEST = 3
 
-SHORT = "a proof uses exact numbers: choose params (--param) or values in the program that are short decimals"
+SHORT = (
+    "the proof uses exact numbers, which robots round: choose params (--param) or values in the program with few "
+    "decimals"
+)
 
 Events = Mapping[int, str]  # instance -> name of its event
 Calls = Mapping[int, tuple[Any, ...]]  # instance -> its recorded calls of callable ports
@@ -118,7 +121,7 @@ def document(plan: ExecutionPlan, program_hash: str) -> dict[str, Any]:
 
 
 def _shown(system: System, state: SystemState) -> dict[str, Any]:
-    """Return a state with the names of the store, which have an application in front if there are several."""
+    """Return a state with variables named as in the store: `application.variable` if there are several applications."""
     views = [view(system, state, index) for index in range(len(system.applications))]
     robots = [views[instance.application].robots[instance.pid] for instance in system.instances()]
     shared = dict[str, Any]()
@@ -203,7 +206,7 @@ class _Planner:
         return f"{step.event} of {self.named(step.instance)}"
 
     def named(self, number: int) -> str:
-        """Return application and robot of an instance, for messages; with one application only the robot."""
+        """Return an instance's application and robot as text; the robot alone if the fleet has one application."""
         instance = self.instances[number]
         robot = f"robot {instance.robot}"
         return robot if len(self.programs) == 1 else f"{self.system.applications[instance.application].name} on {robot}"
@@ -237,7 +240,7 @@ class _Planner:
     def split(
         self, acts: list[TraceStep], state: SystemState, worlds: Mapping[int, World]
     ) -> list[tuple[list[TraceStep], SystemState]]:
-        """Return the fewest agents' rounds that lead to the state in the trace.
+        """Return the shortest sequence of agents' rounds that leads to the state in the trace.
 
         Each agents' round is returned as its steps and the state after the round. Raises CannotExecute if no agents'
         rounds lead to the state in the trace."""
@@ -304,8 +307,8 @@ class _Planner:
             return ModelOnly(
                 f"{place}: {names} does not lead to the state in the trace ({off})" if off
                 else f"{place}: {names} has no result in the trace's first state",
-                "an event without a lock reads the store of its round's start: a proof's step may begin later in a "
-                "round, after writes of other robots, but agents always begin with a round's start",
+                "the proof's step begins after writes of other robots in its round, but an agent's event without a "
+                "lock reads the store of the round's start",
             )  # fmt: skip
         after = self.stepped(acts, state, worlds)
         kind = CannotExecute if after is None or self.differs(acts[-1], after) else ModelOnly
@@ -313,8 +316,8 @@ class _Planner:
         return kind(
             f"{place}: {names}, in this order: no rounds of agents lead to the state in the trace"
             + (f" ({off})" if off else ""),
-            f"agents apply the commits of a round first, one for each lock, then plain events by {plain_order}: steps "
-            "that need another order happen in the model only",
+            f"in a round agents first apply one transaction for each lock, then events without a lock by "
+            f"{plain_order}: steps that need another order happen in the model only",
         )
 
     def stepped(self, acts: list[TraceStep], state: SystemState, worlds: Mapping[int, World]) -> SystemState | None:
@@ -333,8 +336,9 @@ class _Planner:
     def splits(self, acts: list[TraceStep]) -> Iterator[list[list[TraceStep]]]:
         """Yield possible distributions of a round's events over agents' rounds, few rounds first.
 
-        The first distribution has all events in one round. The next distributions have one round for each atomic event,
-        in the trace's order, and one round for all plain events, which may share it with an atomic event. For at most
+        The first distribution has all events in one round. Then follow distributions with one round for each atomic
+        event, in the trace's order. All plain events stand together, in a round of their own or in that of one atomic
+        event. For at most
         MOST events, all partitions follow."""
         plain_ones = [step for step in acts if self.lock(step) is None]
         atomic = [step for step in acts if step not in plain_ones]

@@ -14,7 +14,7 @@ from koordgen.verify.replay.store import RecordedWrites, Shown
 from koordgen.verify.replay.trace import TraceLine, TraceParts
 from koordgen.verify.replay.values import plain
 
-Externs = Mapping[str, Callable[..., Any]]  # extern function -> how the semantics calls it
+Externs = Mapping[str, Callable[..., Any]]  # name of an extern function -> function by which the semantics calls it
 
 
 def replay_trace(system: System, externs: Sequence[Externs], trace: TraceParts, counts: Counts) -> Iterator[Difference]:
@@ -81,7 +81,7 @@ class Instances:
         return number
 
     def named(self, number: int, differences: Iterator[Difference]) -> Iterator[Difference]:
-        """Yield the differences of an instance with its robot and, if there are several, its application."""
+        """Yield the differences of an instance. Each gets its robot and, if the fleet has several, its application."""
         instance = self.all[number]
         name = self._names[instance.application] if self._is_composed else ""
         for each in differences:

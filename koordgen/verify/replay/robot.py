@@ -97,7 +97,7 @@ class Replay:
         return view(self.system, initial_system(self.system, given), self.instance.application)
 
     def line(self, line: TraceLine) -> Iterator[Difference]:
-        """Replay one record, and yield the differences in the record. Raises Unreplayable."""
+        """Replay one record. Yield each difference between recorded and computed values. Raises Unreplayable."""
         self.saw = None
         record = line.record
         try:
@@ -171,7 +171,7 @@ class Replay:
             self._streams = list(done.streams)
 
     def _unset(self, record: dict[str, Any]) -> dict[str, Value]:
-        """Return the actuators that no event has written and that hold the value of a sensor without a declaration."""
+        """Return the actuators without a command whose value is that of a sensor that the program does not declare."""
         hidden = [n for n, s in held(self.program).items() if n in record["actuators"] and s not in record["sensors"]]
         return {name: from_trace(record["actuators"][name], self._types[name]) for name in hidden}
 
@@ -211,9 +211,9 @@ class Replay:
                 self._store[name][self.pid] = written
 
     def _chosen(self, state: State, record: dict[str, Any]) -> decl.Event | Step | None:
-        """Return the event that the robot must have chosen; None if the robot must choose no event.
+        """Return the event that the robot must have chosen; None if no event was possible.
 
-        If the guard of the event has no value, return the discarded step."""
+        If a guard without a value discards the step, return the discarded step."""
         world, name = self._world(record), record.get("event")
         if not self.followed:
             return select(self.program, state, self.pid, world)

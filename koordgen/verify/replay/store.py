@@ -52,7 +52,7 @@ class RecordedWrites:
                     self._initial[key] = plain(store.cells[variable.name])
 
     def keys(self, application: int) -> Mapping[str, StoreKey]:
-        """Return the shared variables of an application's program, by their names there."""
+        """Return the shared variables of an application, keyed by their names in its program."""
         return self._keys[application]
 
     def add_record(self, application: int, pid: int, record: Mapping[str, Any]) -> None:

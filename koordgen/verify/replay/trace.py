@@ -107,7 +107,7 @@ def open_trace(path: Path) -> TraceParts:
             return TraceParts(path, app, program_hash, names, False, 0, followed=followed, header=header)
         n, pid = int(header["n_sys"]), int(header["pid"])
         if not (1 <= n <= MOST_ROBOTS and 0 <= pid < n):
-            raise ValueError(f"pid {pid} in a fleet of {n} robots")
+            raise ValueError(f"pid {pid} does not fit a fleet of {n} robots")
         names = tuple(str(header["robot"]) if p == pid else "" for p in range(n))
         return TraceParts(
             path, app, program_hash, names, True, pid, followed=followed, older=tuple(older), header=header

@@ -52,7 +52,7 @@ class Batch:
         return values.reshape(*values.shape[:-1], *shape)
 
     def one(self, name: str) -> Array:
-        """Return an allwrite variable."""
+        """Return the values of an allwrite variable."""
         return self._along(np.repeat(_array([self._values[name]]), self.n_sys, axis=-1), 0)
 
     def robot(self, axis: int) -> Array:

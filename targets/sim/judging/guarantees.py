@@ -42,8 +42,8 @@ class StepGuarantees:
     """Step guarantees of the variables that an application exports. `variables`: these variables.
 
     `watched`: all properties of the application. `names`: names of all robots. Each write of a round is judged if the
-    records of all instances are there. In other rounds the order of the writes, or a write, is unknown. The first
-    complete round after them is judged as a whole: from the last known value to the value at its end."""
+    records of all instances are there. If a record is missing, the writes or their order are unknown, and the round is
+    not judged. The next complete round is then judged as one step: from the last known value to that round's end."""
 
     def __init__(
         self, watched: Sequence[JudgedProperty], found: Properties, of: WatchedApplication, names: tuple[str, ...]
@@ -53,7 +53,7 @@ class StepGuarantees:
         self._known = found.fleet(len(of.members), None)
         self._of, self._names = of, names
         self._last: dict[str, Any] | None = None  # values at the end of the last round that was judged
-        self._is_next = False  # that round is the one before the present round
+        self._is_next = False  # whether `_last` has the values of the round before the present one
 
     def judge(self, truth: Truth, at: float, removed: Collection[int]) -> Iterator[Violation]:
         """Judge the round that `truth` has applied last, which began at a time. Yield the new violations.

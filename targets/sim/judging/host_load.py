@@ -1,9 +1,9 @@
 """Host load: how long processes of a real-time run waited for a core, and violations due to it.
 
 Linux counts, for each thread, the time in which it could run but had no core (`/proc/PID/schedstat`, second field, ns).
-Here: of a process's main thread, which runs the agent or the simulator's world. The kernel adds a wait when the wait
-ends. It does not count the time that a hypervisor takes from the whole machine. If the file is missing, nothing is
-measured and no violation is explained."""
+This module reads the count of a process's main thread, which runs the agent or the simulator's world. The kernel adds a
+wait when the wait ends. It does not count the time that a hypervisor takes from the whole machine. If the file is
+missing, nothing is measured and no violation is explained."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class _Process:
 
     def __init__(self) -> None:
         self.total = 0.0  # over all starts of a robot's agent
-        self.starved: list[tuple[float, float]] = []  # (start, end) of long gaps
+        self.starved: list[tuple[float, float]] = []  # (start, end) of long waits for a core
         self._samples: deque[tuple[float, float]] = deque()
         self._life: tuple[int, float] = (-1, 0.0)  # process id, and its counter at the last sample
 

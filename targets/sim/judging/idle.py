@@ -94,7 +94,7 @@ class Idle:
         return has_effect
 
     def _report(self, at: float) -> None:
-        self._timeout = 0.0  # once
+        self._timeout = 0.0  # an idle run is reported once
         robots = tuple(self._names[pid] for pid in self._left())
         doing = "; ".join(f"{self._names[pid]}: {self._doing(pid)}" for pid in self._left())
         detail = f"no robot made progress for {at - self._since:.0f} s, and the program has not stopped ({doing})"

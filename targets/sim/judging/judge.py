@@ -28,14 +28,14 @@ class JudgedProperty:
     moving: bool  # reads positions of bodies, and so changes between rounds
     found: Properties
     n: int
-    application: str = ""  # "": the fleet has only one
+    application: str = ""  # name of the application; "": the fleet has only one
     outcome: Literal["violated", "no value"] | None = None
     at: float = 0.0
     left: float | None = None
     robots: tuple[str, ...] = ()
     detail: str = ""
-    observations: int = 0  # observations at which it had a value
-    unknown: int = 0  # observations at which it was unknown
+    observations: int = 0  # number of observations at which the property had a value
+    unknown: int = 0  # number of observations at which the property was unknown
 
     @property
     def decided(self) -> bool:

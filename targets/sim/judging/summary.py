@@ -283,9 +283,7 @@ def _verdict(result: RunResult, violations: list[Violation], properties: list[Fo
 
 
 def _open(found: Found) -> bool:
-    """Return whether the run leaves a property undecided.
-
-    An axiom is assumed by the program and never judged."""
+    """Return whether the run leaves a property undecided; False for an axiom, which no run judges."""
     return found.outcome in ("out of model", "unchecked") and found.of != "axiom"
 
 

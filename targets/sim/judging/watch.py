@@ -48,7 +48,7 @@ from targets.sim.trace.store_names import qualified_name
 from targets.sim.trace.truth import Truth
 
 PATIENCE = 3.0  # seconds after a round's end for which its records are awaited
-MOST_KEPT = 4800  # steps kept before round 1 begins
+MOST_KEPT = 4800  # number of physics steps that are kept before round 1 begins
 GENERATED = ("program", "properties", "applications")  # modules of bundles; of applications `program_NAME`
 _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "position": lambda state: Point(*state.position),
@@ -121,7 +121,7 @@ class Watcher:
         self._view = ViewRecord(0, 0, (0,) * self._robots)
         self._began = False
         self._arrays: dict[str, NDArray[Any]] = {}  # measured arrays of the present round
-        self._stopped: set[int] = set()  # numbers of instances
+        self._stopped: set[int] = set()  # instances that have stopped, by their numbers
         self._until = math.inf  # the mission's end: robots were told to stop safely, or all have stopped
         self._loops: dict[int, tuple[Violation, str]] = {}  # false loop invariants by line; with the event
 

@@ -19,7 +19,7 @@ from koordgen.runtime.values.points import Point
 from targets.sim.base.scenario import Scenario
 
 FORMAT, FILE = "koord-windows/1", "windows.jsonl"
-DIGITS = 6  # decimals, of metres and metres a second
+DIGITS = 6  # number of decimals of values in metres, and in metres per second
 ROUNDING = 1e-9  # metres; a smaller excess is due to rounding and not recorded
 # held, violated, no value, not known, out of the model, nothing was called on the assumption's port
 Came = Literal["h", "v", "n", "u", "o", "-"]
@@ -72,9 +72,7 @@ class Windows:
 
 
 def _goal(found: Properties) -> str:
-    """Return the actuator that holds the body at its own position until it is written.
-
-    "" if there is none."""
+    """Return the actuator whose value is the body's position until its first command; "" if there is none."""
     places = {p.name for p in found.program.ports if p.is_position}
     return next((p.name for p in found.program.ports if p.held in places), "")
 
@@ -107,5 +105,5 @@ def _rounded(vector: Array) -> list[float]:
 
 
 def _up(value: float) -> float:
-    """Round up: margins are learned from the value."""
+    """Round a value up, so that a margin learned from it is never too small."""
     return round(float(value) + 0.5 * 0.1**DIGITS, DIGITS)

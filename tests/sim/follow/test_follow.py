@@ -218,7 +218,7 @@ def test_numbers_that_are_near_to_no_float(tmp_path: Path) -> None:
         other = tmp_path / "other.jsonl"
         other.write_text(trace.read_text().replace("1/3", far))
         done = follow(tmp_path / "app.koord", fleet(tmp_path, 2), other)
-        assert done.status == 1 and "precision of robots' numbers | a proof uses exact numbers" in done.said
+        assert done.status == 1 and "precision of robots' numbers | the proof uses exact numbers" in done.said
 
 
 @pytest.mark.slow

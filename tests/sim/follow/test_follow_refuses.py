@@ -127,7 +127,7 @@ def test_a_step_amid_a_round(tmp_path: Path) -> None:
     assert (
         "round 1: Copy of robot " in said
         and "b of robot 0 is " in said
-        and "reads the store of its round's start" in said
+        and "reads the store of the round's start" in said
     )
 
 

@@ -226,7 +226,7 @@ def test_an_order_of_instances_that_no_agents_use_is_called_that(tmp_path: Path)
     trace.write_text("".join(json.dumps(line) + "\n" for line in lines))
     done = follow_fleet(fleet, trace)
     assert done.status == 4 and "Go of later on robot 2, Go of first on robot 0, in this order: no rounds" in done.said
-    assert "then plain events by application and ascending pid" in done.said
+    assert "then events without a lock by application and ascending pid" in done.said
 
 
 def test_a_broken_trace_is_refused(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def obligations(
     `robots`: the number of robots; None for any number.
     `params`: the values of fixed params. All other params are arbitrary.
     `detail`: the amount of facts that are added about distances and the round. "most" is slower to solve, but its
-        counterexamples satisfy more facts. "little" omits the cells, which counterexamples need.
+        counterexamples satisfy more facts. "little" omits the names of state values, which counterexamples need.
     `dropped`: formulas that are not assumed at heads of loops.
     `event`: return only the obligations of this event, of "init", "(environment)" or a function.
     `interface`: the interface to the other applications of the fleet.

@@ -144,7 +144,7 @@ def _goal(part_encoder: PartEncoder, guarantee: GuaranteeInScope, before: Symbol
 
 
 def own_state_guarantees(problem: ProofProblem) -> list[GuaranteeInScope]:
-    """Return the state guarantees that must hold of the first values: those of the application's own variables."""
+    """Return the state guarantees of the application's own variables, which the first values must satisfy."""
     return [g for g in problem.interface.guarantees if g.is_own and not g.is_step]
 
 
@@ -181,7 +181,7 @@ def of_init_guarantees(problem: ProofProblem) -> list[Obligation]:
 
 
 def of_others(problem: ProofProblem) -> list[Obligation]:
-    """Return the obligations that the invariants survive the steps of other applications (I).
+    """Return the obligations of rule I: the invariants survive the steps of other applications.
 
     Such a step changes foreign variables and ports, and nothing else. It keeps the guarantees of each variable that it
     writes."""

@@ -172,7 +172,7 @@ def _foreign_ports(system: System, index: int) -> tuple[frozenset[Key], frozense
     return frozenset(cleared - commanded), frozenset(commanded)
 
 
-# Facts about imports. Views have them by construction (`view` in koordgen/lang/semantics/system.py).
+# Facts about imports, true in every view by construction (`view` in koordgen/lang/semantics/system.py).
 
 
 def _facts(imported: decl.Import, program: decl.Program) -> Iterator[ImportFact]:

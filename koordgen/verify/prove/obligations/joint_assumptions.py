@@ -231,7 +231,7 @@ def merged(system: System, group: JointGroup, robot: int) -> decl.Program:
 
 
 def _agreeing(modules: tuple[decl.Module, ...]) -> tuple[decl.Module, ...]:
-    """Return modules in which ports of one name agree: a port that one program commands is no sensor."""
+    """Return the modules with one direction for each port: a port that some program commands is an actuator."""
     commanded = {(m.name, p.name): p for m in modules for p in m.ports if p.direction == "actuator"}
     return tuple([replace(m, ports=tuple([commanded.get((m.name, p.name), p) for p in m.ports])) for m in modules])
 

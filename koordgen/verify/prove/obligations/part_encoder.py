@@ -27,7 +27,7 @@ from koordgen.verify.prove.smt.obligation import HeadFormula, LabelledFormula, S
 from koordgen.verify.prove.smt.term import Term
 
 # Level of detail: the amount of facts that are added to a proof. "little" suffices for most proofs. "most" adds all
-# facts, which takes solvers long. Counterexamples satisfy the facts of "usual" or "most".
+# facts, which takes solvers long. Counterexamples are searched with "usual" or "most" only.
 Detail = Literal["little", "usual", "most"]
 Trigger = ir.Call | ir.ExternCall | ir.Builtin
 # Largest number of value combinations at which an axiom is instantiated, when axioms are checked for contradictions.

@@ -26,7 +26,7 @@ from koordgen.lang.source import Span
 
 START = "@start"  # end of the name of a port's value at the start of an outer round
 OUTER = "outer."  # beginning of names that belong to the outer program
-LINES = 10_000_000  # added to the lines of the outer program, so that no line of the inner one is meant
+LINES = 10_000_000  # offset of the outer program's line numbers, so that they differ from those of the inner program
 
 
 class Unprovable(Exception):
@@ -107,7 +107,7 @@ class ProvidedModules:
         return ProvidedAssumption(module.name, assumption, tuple(once), kept)
 
     def _cleared(self, module: decl.Module, formula: ir.Expr) -> list[frozenset[str]]:
-        """Return the sets of sensors in a formula that commands of the outer round may have cleared, none among them.
+        """Return each set of a formula's sensors that commands of the outer round may have cleared, also the empty one.
 
         A sensor that a command clears is false from the command on, whatever the inner program provides."""
         found = {frozenset[str]()}

@@ -114,7 +114,7 @@ def _composed(
             return verdict._replace(reason=f"not assumed, because an application does not keep it: {', '.join(lost)}")
     others = [name for name in dropped.get(verdict.invariant, ()) if name != application]
     if verdict.verdict == "PROVED" and others:
-        reason = f"{application} keeps it, but this is not proved of {' and '.join(others)}"
+        reason = f"{application} keeps the guarantee; of {' and '.join(others)} this is not proved"
         verdict = verdict._replace(verdict="UNKNOWN", reason=reason, rests_on=())
     if contradiction and verdict.verdict == "PROVED":
         return verdict._replace(verdict="VACUOUS", reason=contradiction, rests_on=())

@@ -176,7 +176,7 @@ class Explainer:
     def of(self, program: decl.Program, robots: int, failed: Obligation) -> list[Obligation]:
         """Return all obligations of one event, for a fleet of `robots` robots.
 
-        If the failed formula belongs to a loop's head, the formula was dropped. The new obligations assume it again."""
+        A failed formula of a loop's head was dropped by the first proof. The obligations returned here assume it."""
         key = (program, robots, failed.event, failed.at, self.interface)
         if key not in self.made:
             dropped = self.dropped - {failed.at}

@@ -86,7 +86,9 @@ def _all_relied(names: set[str], invariants: Sequence[InvariantVerdict]) -> set[
 
 
 class _Search:
-    """Proof of the properties of all assumptions: what fails is dropped, and the others are proved again without it.
+    """Proof of the properties that state the outer program's assumptions.
+
+    A property that fails is dropped, and the others are proved again without it.
 
     `failed`: name of a property -> the steps that may break it. `used`: obligations that the proofs use."""
 

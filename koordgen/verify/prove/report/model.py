@@ -343,7 +343,7 @@ def _guarantee(reading: ModelStates) -> Counterexample:
     elif obligation.event == TRANSITIVE:
         first = reading.state("round start")
         if _broken(reading, first, before) is not None or _broken(reading, before, after) is not None:
-            raise Unshowable("the two steps of the counterexample break the guarantee themselves")
+            raise Unshowable("one of the counterexample's two steps breaks the guarantee")
         before = first
     failed = _broken(reading, before, after)
     if failed is None:

@@ -23,7 +23,7 @@ class AttackCount(NamedTuple):
     reason: str
 
 
-Attacks = Mapping[str, AttackCount]  # name of an obligation -> its number of attack states
+Attacks = Mapping[str, AttackCount]  # name of an obligation -> number of states with which it was attacked
 
 
 def report(verdicts: Sequence[InvariantVerdict], path: str, attacks: Attacks) -> str:

@@ -174,7 +174,7 @@ def test_a_plain_append_breaks_a_guarantee_and_the_message_says_how_to_mend_it(s
         "`atomic`"
     )
     owner = {v.invariant: v for v in found.applications[0].verdicts}["guarantee lists.Kept"]
-    assert (owner.verdict, owner.reason) == ("UNKNOWN", "lists keeps it, but this is not proved of reader")
+    assert (owner.verdict, owner.reason) == ("UNKNOWN", "lists keeps the guarantee; of reader this is not proved")
     mended = prove_system(lists(READER.replace("done.append", "atomic: done.append")), solver)
     assert {v.verdict for part in mended.applications for v in part.verdicts} == {"PROVED"}
 
