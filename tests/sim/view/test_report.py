@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 import pytest
 from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
 from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.schema import End, Violation
@@ -269,3 +270,15 @@ def test_following_an_agents_file_waits_for_whole_lines_and_passes_over_the_rest
     with path.open("ab") as file:
         file.write(b'me":5.0,"phase":"starting"}\n')
     assert tail.read() == [schema.Phase("starting", time=5.0)]
+
+
+def test_names_of_robots_that_end_near_one_another_do_not_overlap() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    axes.set(xlim=(0, 10), ylim=(0, 10))
+    places = [(5.0, 5.0), (5.1, 5.05), (5.0, 5.3), (8.0, 5.0)]
+    names = [axes.annotate("robot (0)", place, xytext=(9, 7), textcoords="offset points") for place in places]
+    plots.move_apart(figure, names)
+    boxes = [name.get_window_extent() for name in names]
+    assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+    assert [names[0].xyann, names[3].xyann] == [(9, 7)] * 2, "others stay where they are"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def _name_ends(axes: Any, found: Tracks, ends: list[tuple[float, int]], last: fl
 def _top(found: Tracks, path: Path) -> Path:
     figure, axes = plt.subplots(figsize=(9, 7.2), layout="constrained")
     ground.lay(axes, found.header)
-    until = found.span()[1] if found.end is None else found.end
+    until, names = found.span()[1] if found.end is None else found.end, []
     for pid, (times, places) in enumerate(zip(found.times, found.places, strict=True)):
         if not len(times):
             continue
@@ -118,14 +119,29 @@ def _top(found: Tracks, path: Path) -> Path:
         axes.plot(x, y, linewidth=1.6, alpha=0.85, **style)
         axes.plot(x[0], y[0], marker, markersize=9, markerfacecolor="white", markeredgewidth=1.6, color=style["color"])
         axes.plot(x[-1], y[-1], marker, markersize=10, color=style["color"], markeredgecolor="white", zorder=3)
-        axes.annotate(
+        name = axes.annotate(
             f"{robot.name} ({robot.pid})", (x[-1], y[-1]), xytext=(9, 7), textcoords="offset points",
             color=style["color"], fontweight="bold", path_effects=ground.HALO, zorder=5,
         )  # fmt: skip
+        names.append(name)
     ground.mark(axes, found, until)
     axes.set_title(f"{found.header.app}: top view", loc="left")
     _legend(axes, found)
+    move_apart(figure, names)
     return _save(figure, path)
+
+
+def move_apart(figure: Any, labels: Sequence[Any]) -> None:
+    """Move labels up until none overlaps another one. `labels`: annotations with offsets in points."""
+    figure.draw_without_rendering()  # gives the labels their places
+    placed: list[Any] = []
+    for label in sorted(labels, key=lambda each: each.get_window_extent().y0):
+        box = label.get_window_extent()
+        while overlapped := [other for other in placed if box.overlaps(other)]:
+            shift = max(other.y1 for other in overlapped) - box.y0 + 1.0  # pixels
+            x, y = label.xyann
+            label.xyann, box = (x, y + shift * 72.0 / figure.dpi), box.translated(0.0, shift)
+        placed.append(box)
 
 
 def _legend(axes: Any, found: Tracks) -> None:
