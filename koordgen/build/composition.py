@@ -88,18 +88,26 @@ def _bindings(part: ApplicationProgram, by_name: Mapping[str, ApplicationProgram
 
 
 def _params(part: ApplicationProgram, fleet: Source) -> Found:
-    """Check each param of an application against its declaration."""
-    sizes = {imported.size for imported in part.program.imports}
+    """Check each param of an application against its declaration, then all of them together."""
+    sizes, is_right = {imported.size for imported in part.program.imports}, True
     for name, value in part.settings.params.items():
         span = part.settings.spans[f"params.{name}"]
         if name in sizes:
             message = f"{name} is the number of robots that run an application; it cannot be set"
             yield fleet, Diagnostic("F005", "error", message, span, help="remove it from `params`")
+            is_right = False
             continue
         try:
             with_params(part.program, {name: value})
         except BadParam as error:
             yield fleet, Diagnostic("F004", "error", str(error), span)
+            is_right = False
+    if not is_right:
+        return
+    try:  # two values may be right alone and wrong together, such as the size and the resolution of a map
+        _with_params(part)
+    except BadParam as error:
+        yield fleet, Diagnostic("F005", "error", str(error), part.settings.spans["params"])
 
 
 def _cycles(parts: Sequence[ApplicationProgram], fleet: Source) -> Found:

@@ -229,6 +229,17 @@ def test_names_of_an_application_begin_with_its_name(tmp_path: Path) -> None:
     assert any("unknown key 'Low' in monitors | possible keys: default, mapping.Low" in e for e in found)
 
 
+def test_params_that_are_wrong_together_are_refused(tmp_path: Path) -> None:
+    """Each value fits the declaration alone; both together make a first value that is too large."""
+    declared = "param Point far = Point(1, 1, 0)\nparam float size = 0.5\n"
+    mapping = MAPPING.replace("param int limit = 4\n", f"param int limit = 4\n{declared}").replace(
+        "  int hidden\n", "  int hidden\n  GridMap map max 64 = GridMap(Point(0, 0, 0), far, size)\n"
+    )
+    wrong = ENTRIES.replace("{limit: 7}", "{far: [4.0, 4.0, 0.0], size: 0.25}")
+    (error,) = errors(fleet(tmp_path, wrong, mapping=mapping))
+    assert error.startswith("fleet.yaml:") and "F005 with these params the initial value of map" in error
+
+
 def test_params_of_the_whole_fleet_are_refused(tmp_path: Path) -> None:
     (error,) = errors(fleet(tmp_path, more="params: {limit: 3}\n"))
     assert error.startswith("fleet.yaml:11: F005 params of several applications do not stand here | move each param")
