@@ -1,4 +1,4 @@
-"""What an outer program assumes of its robots, shown of the program of the fleets that they are."""
+"""Proofs that an inner program keeps the assumptions of an outer program, of which each robot is an inner fleet."""
 
 from __future__ import annotations
 
@@ -144,6 +144,19 @@ def test_contradictory_assumptions_of_the_inner_program_prove_nothing(tmp_path: 
     )
     assert [v.verdict for v in found.invariants] == ["VACUOUS"]
     assert [each.verdict for each in found.provided] == ["UNPROVED"]
+
+
+@pytest.mark.parametrize(
+    "first", ["initially: N_SYS > 2 and N_SYS < 2\n", "param int n = 1\ninitially: n > 2 and n < 2\n"]
+)
+def test_contradictory_assumptions_are_seen_without_any_invariant(first: str, tmp_path: Path, solver: Solver) -> None:
+    (found,) = judged(tmp_path, solver, "not reached' or position' == target + 1", next="goal", first=first).provided
+    assert found.verdict == "UNPROVED" and "anything follows from that" in found.reason, found.reason
+
+
+def test_the_robots_of_the_outer_fleet_are_not_those_of_the_inner_one(tmp_path: Path, solver: Solver) -> None:
+    (found,) = judged(tmp_path, solver, "position' == position' and forall i in ID: i < N_SYS").provided
+    assert (found.verdict, found.reason) == ("UNPROVED", "it is about all robots of the outer fleet")
 
 
 def test_what_the_inner_program_does_not_provide_is_named(tmp_path: Path, solver: Solver) -> None:

@@ -24,8 +24,8 @@ from koordgen.lang.ir.types import BOOL, INT
 from koordgen.lang.node import replace
 from koordgen.lang.source import Span
 
-START = "@start"  # end of the name of a port's value at the start of an outer round
-OUTER = "outer."  # beginning of names that belong to the outer program
+START = "@start"  # suffix of the names of sensors' values at the start of an outer round
+OUTER = "outer."  # prefix of the names that belong to the outer program
 LINES = 10_000_000  # offset of the outer program's line numbers, so that they differ from those of the inner program
 
 
@@ -49,7 +49,7 @@ class ProvidedAssumption(NamedTuple):
 class ProvidedModules:
     """Assumptions of an outer program about the modules that an inner program provides.
 
-    `assumptions`: in the order of the outer program. `reads_pid`: whether one depends on the outer robot's pid."""
+    `assumptions`: in the order of the outer program."""
 
     def __init__(self, inner: decl.Program, outer: decl.Program, params: Mapping[str, ir.Expr]) -> None:
         self.inner, self.outer = inner, outer
@@ -123,13 +123,15 @@ class ProvidedModules:
             raise Unprovable(f"{path} does not provide {module.name}")
         declared = {port.name: port for port in module.ports}
         for record in self.outer.records:
-            theirs_too = next((r for r in self.inner.records if r.type.name == record.type.name), record)
-            if theirs_too.type != record.type:
+            namesake = next((r for r in self.inner.records if r.type.name == record.type.name), record)
+            if namesake.type != record.type:
                 raise Unprovable(f"the record {record.type.name} has other fields in {path}")
         for node in walk((assumption.formula, self._called(assumption.formula))):
             match node:
                 case ir.PortCall(_, port):
                     raise Unprovable(f"{module.name}.{port} is called, and a fleet cannot provide a callable port")
+                case ir.Ids():
+                    raise Unprovable("it is about all robots of the outer fleet")
                 case ir.ExternCall(name):
                     raise Unprovable(f"{name} is an extern function")
                 case ir.PortRead(_, port) if port not in provided:

@@ -6,12 +6,20 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 from koordgen.lang.ir import decl
-from koordgen.lang.ir.expr import Expr
+from koordgen.lang.ir.expr import Expr, PortRead
+from koordgen.lang.ir.tree import walk
 from koordgen.verify.prove.obligations.provided import ProvidedAssumption, ProvidedModules
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.ledger import Ledger, LedgerEntry
 from koordgen.verify.prove.report.show import ledger_lines, wrapped
-from koordgen.verify.prove.report.verdict import InvariantVerdict, Question, SolvedObligations, prove, settled
+from koordgen.verify.prove.report.verdict import (
+    InvariantVerdict,
+    Question,
+    SolvedObligations,
+    consistency_of,
+    prove,
+    settled,
+)
 from koordgen.verify.prove.smt.obligation import Kind
 from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver
 
@@ -65,11 +73,9 @@ def prove_levels(
     proved = {v.invariant for v in invariants if v.verdict == "PROVED"}
     kept = tuple([p for p in inner.properties if p.kind != "invariant" or p.name in proved])
     stated = ProvidedModules(inner, outer, outer_params)
-    vacuous = next((v.reason for v in invariants if v.verdict == "VACUOUS"), "")
     search = _Search(stated, {**inner_params, **stated.fixed()}, solver, kept)
-    if not vacuous:
-        search.run()
-    provided = [_verdict(each, search, vacuous) for each in stated.assumptions]
+    search.run()
+    provided = [_verdict(each, search) for each in stated.assumptions]
     relied = {name for each in provided for name in each.rests_on}
     own = [o.obligation for o in search.used]
     own += [o.obligation for v in invariants if v.invariant in _all_relied(relied, invariants) for o in v.outcomes]
@@ -90,7 +96,9 @@ class _Search:
 
     A property that fails is dropped, and the others are proved again without it.
 
-    `failed`: name of a property -> the steps that may break it. `used`: obligations that the proofs use."""
+    `failed`: name of a property -> the steps that may break it. `used`: obligations that the proofs use.
+    `inconsistent`: why the assumptions of the inner program contradict one another, or may do so; then nothing is
+        proved."""
 
     def __init__(
         self, stated: ProvidedModules, params: Mapping[str, Expr], solver: Solver | CrossCheck,
@@ -99,6 +107,7 @@ class _Search:
         self.stated, self.params, self.solver, self.proved = stated, params, solver, proved
         self.failed: dict[str, list[str]] = {}
         self.used: list[ObligationResult] = []
+        self.inconsistent = ""
 
     def run(self) -> None:
         every = self.stated.assumptions
@@ -124,6 +133,7 @@ class _Search:
                 if not outcome.holds:
                     self.failed.setdefault(outcome.obligation.invariant, []).append(_step(outcome))
             if not failing:
+                self.inconsistent = self.inconsistent or "".join(consistency_of(asked.outcomes, self.solver))
                 self.used += own
                 break
             left = [p for p in left if p.name not in failing]
@@ -138,7 +148,7 @@ def _step(outcome: ObligationResult) -> str:
     return f"{step} (undecided: {outcome.answer.reason})" if undecided else step
 
 
-def _verdict(each: ProvidedAssumption, search: _Search, vacuous: str) -> ProvidedVerdict:
+def _verdict(each: ProvidedAssumption, search: _Search) -> ProvidedVerdict:
     has_slack = each.kept is not None and _reads_actuator(each, search.stated)
 
     def found(
@@ -148,8 +158,8 @@ def _verdict(each: ProvidedAssumption, search: _Search, vacuous: str) -> Provide
 
     if each.kept is None:
         return found("UNPROVED", each.why)
-    if vacuous:
-        return found("UNPROVED", vacuous)
+    if search.inconsistent:
+        return found("UNPROVED", search.inconsistent)
     once = [(property_, "it is not true at once") for property_ in each.once]
     for property_, what in (*once, (each.kept, "it is not kept")):
         if property_.name in search.failed:
@@ -165,9 +175,6 @@ def _verdict(each: ProvidedAssumption, search: _Search, vacuous: str) -> Provide
 
 
 def _reads_actuator(each: ProvidedAssumption, stated: ProvidedModules) -> bool:
-    from koordgen.lang.ir.expr import PortRead
-    from koordgen.lang.ir.tree import walk
-
     module = next(m for m in stated.outer.modules if m.name == each.module)
     actuators = {port.name for port in module.ports if port.direction == "actuator"}
     return any(isinstance(n, PortRead) and n.port in actuators for n in walk(each.assumption.formula))
