@@ -33,13 +33,13 @@ def flown(folder: Path) -> FleetMission:
 
 
 def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> dict[str, Any] | None:
-    """Write the program with the hash `wanted` into a run folder's `source/`, and return what a trace says of it.
+    """Write the program with the hash `wanted` into a run folder's `source/`. Return its entries for a trace's header.
 
     Raises OSError.
 
     folder: the run folder. If its `source/` holds the wanted program already, nothing is written.
     programs: candidates, each as its files by path. Several applications are one candidate.
-    Returns the entries of the header of a merged trace; None if no candidate has the hash.
+    Returns None if no candidate has the hash.
     """
     source, made = folder / SOURCE, folder / f".{SOURCE}"
     if (facts := _fitting(source, wanted)) is not None:

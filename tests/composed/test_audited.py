@@ -137,7 +137,7 @@ def test_audits_of_100_compositions_judge_as_the_semantics_does(tmp_path: Path) 
 
 
 def test_without_a_robots_trace_its_values_are_unknown(tmp_path: Path) -> None:
-    """What others read of the store is known, what the robot alone has is not."""
+    """The store is known from the copies of other robots; variables of the robot alone are unknown."""
     owner = compiled("owner", "local: int k\nallwrite: int n\nGo:\n  pre: k < 90\n  eff:\n    k += 1\n    n = 1\n"
                               "export:\n  write int n\n    guarantee Up: n <= n' + 5\n"
                               "invariant Own: forall i in ID: k[i] >= 0\n")  # fmt: skip
