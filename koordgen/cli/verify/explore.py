@@ -30,7 +30,7 @@ from koordgen.fleet import manifest
 from koordgen.fleet.yaml_reader import Report
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.lang.diagnostics import Diagnostic
-from koordgen.lang.ir.decl import Program, commanded
+from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.lang.semantics.relations import is_order_of_agents
 from koordgen.lang.semantics.state import World, nobody
@@ -40,7 +40,7 @@ from koordgen.verify.explore.environment import Environment, EnvironmentSteps, M
 from koordgen.verify.explore.environment_file import environment
 from koordgen.verify.explore.machine import Machine
 from koordgen.verify.explore.search import DEADLOCK, ExplorationResult, FoundViolation, Search
-from koordgen.verify.explore.show import document, itf, progress_text, report, trace
+from koordgen.verify.explore.show import document, itf, progress_text, report, trace, unexplored
 from koordgen.verify.prove.report.trace import RunOrigin
 from koordgen.verify.replay.functions import CannotCall, externs
 
@@ -65,8 +65,8 @@ def explore_program(options: Namespace, checked: Program, robots: int, from_flee
         given = {**from_fleet, **around.params, **params(options.param)}
         program = with_params(checked, given)
         result = _search(options, program, robots, around, lambda: _origin(options, program, robots, around, given))
-        if result.violation is None and not result.stopped and (names := sorted(commanded(program))):
-            result = result._replace(stopped=f"commands from outside to {', '.join(names)}, which are not explored")
+        if result.violation is None and not result.stopped:
+            result = result._replace(stopped=unexplored([program]))
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except MissingEnvironment as error:
@@ -107,7 +107,7 @@ def _search(
     try:
         machine = Machine(program, robots, possible_answers(around, program, robots), Path(functions))
         surroundings = EnvironmentSteps(machine, around)
-        deadlock = options.deadlock and not commanded(program)  # a fleet that waits for a command is in no deadlock
+        deadlock = options.deadlock and not unexplored([program])  # a fleet that waits for a command is in no deadlock
         search = Search(
             machine, surroundings, bounds, time.monotonic, show,
             symmetry=options.symmetry, independence=options.independence, deadlock=deadlock,

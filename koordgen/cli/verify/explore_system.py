@@ -18,9 +18,11 @@ from koordgen.cli.base.console import USAGE, WRONG, Failure, print_diagnostics
 from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.verify.explore import explore_program, further_bounds, progress_on, read_environment, status
 from koordgen.cli.verify.prove import save
+from koordgen.lang.semantics.composition import System
 from koordgen.verify.explore.breadth_first import ExplorationBounds
 from koordgen.verify.explore.environment import Environment, MissingEnvironment
 from koordgen.verify.explore.search import DEADLOCK
+from koordgen.verify.explore.show import unexplored
 from koordgen.verify.explore.system.environment import SystemEnvironmentSteps, answers, system_environment
 from koordgen.verify.explore.system.machine import SystemMachine
 from koordgen.verify.explore.system.search import SystemResult, SystemSearch
@@ -58,6 +60,8 @@ def explore_system(options: Namespace) -> int:
     try:
         around = read_environment(options, lambda source, note: system_environment(system, source, note))
         result = _search(options, checked, around)
+        if result.violation is None and not result.stopped:
+            result = result._replace(stopped=_unexplored(system))
     except MissingEnvironment as error:
         raise Failure(USAGE, str(error), "`koordgen docs explore` explains the file for --env") from None
     if options.format == "json":
@@ -73,6 +77,10 @@ def explore_system(options: Namespace) -> int:
     return status(result.violation is not None, result.stopped)
 
 
+def _unexplored(system: System) -> str:
+    return unexplored(application.program for application in system.applications)
+
+
 def _search(options: Namespace, checked: CheckedSystem, around: Environment) -> SystemResult:
     """Explore the system. If a violation is found, look for a run to it that agents can execute."""
     system, line = checked.system, ProgressLine(sys.stderr)
@@ -82,8 +90,9 @@ def _search(options: Namespace, checked: CheckedSystem, around: Environment) -> 
         machine = SystemMachine(system, answers(system, around), _functions(options.program, checked))
         steps = SystemEnvironmentSteps(machine, around)
         search = SystemSearch(
-            machine, steps, bounds, time.monotonic, show, independence=options.independence, deadlock=options.deadlock
-        )
+            machine, steps, bounds, time.monotonic, show, independence=options.independence,
+            deadlock=options.deadlock and not _unexplored(system),
+        )  # fmt: skip
         with alarm(bounds.seconds):
             result = search.run()
         found = result.violation

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from koordgen.lang.ir import decl
@@ -22,6 +22,8 @@ from koordgen.verify.prove.report.table import (
 )
 from koordgen.verify.prove.report.trace import RunOrigin, run_trace
 
+COMMANDS = "commands from outside"  # beginning of the reason `unexplored`
+
 
 def verdict(violated: bool, stopped: str) -> str:
     """Return the verdict of an exploration: VIOLATED, INCONCLUSIVE or HOLDS.
@@ -32,6 +34,17 @@ def verdict(violated: bool, stopped: str) -> str:
     return "INCONCLUSIVE" if stopped else "HOLDS"
 
 
+def unexplored(programs: Iterable[decl.Program]) -> str:
+    """Return the commands from outside that these programs take, as the reason of an incomplete exploration, or ""."""
+    names = sorted({name for program in programs for name in decl.commanded(program)})
+    return f"{COMMANDS} to {', '.join(names)}, which are not explored" if names else ""
+
+
+def stopped_text(stopped: str) -> str:
+    """Return why an exploration is not complete. `stopped`: the reason in a result."""
+    return f"{'incomplete because of' if stopped.startswith(COMMANDS) else 'ended by'}: {stopped}"
+
+
 def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: int) -> str:
     """Return the result of an exploration as text for a terminal, at most 100 columns wide."""
     lines = [f"{path}, {n_sys} robot{'s' * (n_sys != 1)}: {verdict(result.violation is not None, result.stopped)}"]
@@ -39,8 +52,7 @@ def report(result: ExplorationResult, program: decl.Program, path: str, n_sys: i
     if result.violation is not None:
         lines += ["", *_violation(result.violation, program), ""]
     elif result.stopped:
-        cause = "incomplete because of" if decl.commanded(program) else "ended by"
-        lines += wrapped(f"{cause}: {result.stopped}; no violation found so far")
+        lines += wrapped(f"{stopped_text(result.stopped)}; no violation found so far")
     else:
         kept = [p.name for p in program.properties if p.kind == "invariant" and p.name not in result.unchecked]
         lines += wrapped(f"true in every state: {', '.join(kept) or 'the program has no invariants'}")

@@ -102,6 +102,16 @@ def test_a_fleet_file_with_applications(fleet: str, tmp_path: Path, capsys: pyte
     assert acted[-1] == ("Clear", "task", 1) and {("Put", "building")} <= {each[:2] for each in acted}
 
 
+def test_commands_to_an_application_are_not_explored(
+    fleet: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "task.koord"
+    path.write_text(f"{path.read_text()}allwrite: int goal\nprovides Motion:\n  actuators: int target = goal\n")
+    assert main(["explore", fleet]) == 4
+    told = capsys.readouterr().out
+    assert "2 applications, 2 robots: INCONCLUSIVE" in told and "commands from outside to goal" in told
+
+
 def test_a_fleet_file_with_one_application_is_its_program(
     fleet: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.system import SystemState
 from koordgen.lang.semantics.values import Value
-from koordgen.verify.explore.show import extent, headline, itf_value, verdict
+from koordgen.verify.explore.show import extent, headline, itf_value, stopped_text, verdict
 from koordgen.verify.explore.system.search import SystemResult, SystemRunState, SystemViolation
 from koordgen.verify.prove.report.koord_text import to_koord
 from koordgen.verify.prove.report.table import columns, failed_lines, shown, wrapped
@@ -39,7 +39,7 @@ def report(result: SystemResult, system: System, path: str, robots: Sequence[str
     if found is not None:
         lines += ["", *_violation(found, system, robots), ""]
     elif result.stopped:
-        lines += wrapped(f"ended by: {result.stopped}; no violation found so far")
+        lines += wrapped(f"{stopped_text(result.stopped)}; no violation found so far")
     else:
         left = {(system.applications[a].name, name) for a, name in result.unchecked}
         kept = [f"{name} of {a}" for a, name in properties(system) if (a, name) not in left]
