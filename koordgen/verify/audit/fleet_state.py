@@ -243,11 +243,9 @@ class _Shared:
 
     def _value(self, name: str, key: StoreKey, recorded: Any) -> Any:
         of = self._meaning.value
-        if key not in self._writes.slots:
-            return of(name, recorded)
-        if key[0] == self._index:
-            return [of(name, own) for own in recorded]
-        return UNKNOWN if any(own is UNKNOWN for own in recorded) else of(name, recorded)  # an imported list
+        # an imported allread variable is a list, which is unknown as a whole if one of its slots is
+        is_own_slots = key in self._writes.slots and key[0] == self._index
+        return [of(name, own) for own in recorded] if is_own_slots else of(name, recorded)
 
     def _lose(self, each: _Instance) -> None:
         """Set each slot and allwrite variable that an instance can write to UNKNOWN."""
