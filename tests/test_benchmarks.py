@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks import shared_memory
-from benchmarks.fixtures.fleet import Kept
 from benchmarks.peers_agents import settings
 from benchmarks.peers_memory import SharedMemory, Update
+from koordgen.runtime.agent.records import MemoryStore
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.replication.replica import TICKS, Replica
 from koordgen.runtime.values.clock import SimulatedClock
@@ -24,7 +24,7 @@ class Robots:
         self.clock = SimulatedClock()
         network = MemoryNetwork(self.clock, 1, Conditions(loss, delay=0.0002), group=True)
         given = [settings(pid, range(9000, 9001 + N), DELTA, "multicast") for pid in range(N)]
-        self.each = [SharedMemory(g, 230, network.transport(g.pid), Kept(), self.clock) for g in given]
+        self.each = [SharedMemory(g, 230, network.transport(g.pid), MemoryStore(), self.clock) for g in given]
         self.heard: list[list[tuple[int, int]]] = [[] for _ in given]
 
     def run(self, rounds: range) -> None:

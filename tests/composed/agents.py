@@ -82,52 +82,17 @@ def observing(rounds: dict[int, Applied]) -> Iterator[None]:
         yield
 
 
-class ComposedAgents:
-    """Agents of all robots of a composition, and the events that the fleet counted.
+class CountedEvents:
+    """Events that a fleet counted, compared with the executable semantics.
 
     records: record of each instance (by its number) and round.
     applied: the events of each round as the robots applied it.
-    files: traces of each robot, one for each start.
     """
 
-    def __init__(self, system: System, seed: int = 1, conditions: Conditions = QUIET) -> None:
-        self.system, self.program = system, fleet_program(system)
-        self.fleet = Fleet(n=system.robots, seed=seed, program=self.program, conditions=conditions)
+    def __init__(self, system: System) -> None:
+        self.system = system
         self.records: dict[tuple[int, int], RoundRecord] = {}
         self.applied: dict[int, Applied] = {}
-        self.files: dict[int, list[Any]] = {robot: [] for robot in range(system.robots)}
-        for robot in range(system.robots):
-            self.boot(robot)
-
-    def boot(self, robot: int) -> None:
-        """Start or restart a robot's agent."""
-        self.files[robot].append(self.fleet.boot(robot, FakePlatform(Point())).file)
-        numbers = {
-            self.program.applications[i.application].name if self.program.is_composed else "": i.number
-            for i in self.program.of_robot(robot)
-        }
-        watch = partial(self._keep, numbers)
-        self.fleet.robots[robot].agent._journal.watch(watch)
-
-    def _keep(self, numbers: Mapping[str, int], record: RoundRecord) -> None:
-        self.records[numbers[record.application], record.round] = record
-
-    def kill(self, robot: int) -> None:
-        """End a robot's agent at once, as if its process had died."""
-        self.fleet.robots[robot].agent.done = True
-
-    def run(self, rounds: int) -> ComposedAgents:
-        """Run until each robot has recorded so many rounds. A robot without instances records nothing."""
-
-        def has_recorded(robot: int) -> bool:
-            own = [i.number for i in self.program.of_robot(robot)]
-            agent = self.fleet.robots[robot].agent
-            return agent.done or (agent.round > rounds and all((number, rounds) in self.records for number in own))
-
-        with observing(self.applied):
-            self.fleet.run(60 + rounds * self.fleet.delta, until=lambda: all(map(has_recorded, self.fleet.robots)))
-        assert all(map(has_recorded, self.fleet.robots)), [r.lines[-3:] for r in self.fleet.robots.values()]
-        return self
 
     def follow(self, rounds: int) -> Counter[str]:
         """Compare each event with that of the semantics. Return how often each kind of end of a round occurred.
@@ -182,3 +147,45 @@ class ComposedAgents:
             assert dict(record.frame.shared) == meant, (round_, number)
             assert dict(record.frame.locals) == dict(seen.robots[instance.pid].locals), (round_, number)
             assert (record.frame.pid, record.frame.n_sys) == (instance.pid, len(seen.robots))
+
+
+class ComposedAgents(CountedEvents):
+    """Agents of all robots of a composition. `files`: traces of each robot, one for each start."""
+
+    def __init__(self, system: System, seed: int = 1, conditions: Conditions = QUIET) -> None:
+        super().__init__(system)
+        self.program = fleet_program(system)
+        self.fleet = Fleet(n=system.robots, seed=seed, program=self.program, conditions=conditions)
+        self.files: dict[int, list[Any]] = {robot: [] for robot in range(system.robots)}
+        for robot in range(system.robots):
+            self.boot(robot)
+
+    def boot(self, robot: int) -> None:
+        """Start or restart a robot's agent."""
+        self.files[robot].append(self.fleet.boot(robot, FakePlatform(Point())).file)
+        numbers = {
+            self.program.applications[i.application].name if self.program.is_composed else "": i.number
+            for i in self.program.of_robot(robot)
+        }
+        watch = partial(self._keep, numbers)
+        self.fleet.robots[robot].agent._journal.watch(watch)
+
+    def _keep(self, numbers: Mapping[str, int], record: RoundRecord) -> None:
+        self.records[numbers[record.application], record.round] = record
+
+    def kill(self, robot: int) -> None:
+        """End a robot's agent at once, as if its process had died."""
+        self.fleet.robots[robot].agent.done = True
+
+    def run(self, rounds: int) -> ComposedAgents:
+        """Run until each robot has recorded so many rounds. A robot without instances records nothing."""
+
+        def has_recorded(robot: int) -> bool:
+            own = [i.number for i in self.program.of_robot(robot)]
+            agent = self.fleet.robots[robot].agent
+            return agent.done or (agent.round > rounds and all((number, rounds) in self.records for number in own))
+
+        with observing(self.applied):
+            self.fleet.run(60 + rounds * self.fleet.delta, until=lambda: all(map(has_recorded, self.fleet.robots)))
+        assert all(map(has_recorded, self.fleet.robots)), [r.lines[-3:] for r in self.fleet.robots.values()]
+        return self

@@ -90,7 +90,7 @@ class CheckpointFile:
         instances: number of the robot's instances.
         A file of another program, robot or format is reported by `warn` and erased. Raises CannotOpen."""
         identity = Identity(
-            STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, _rooms(program, n_sys, instances)
+            STORE_FORMAT, program.name, program.program_hash, robot, pid, n_sys, rooms(program, n_sys, instances)
         )
         if path is None:
             return cls(identity, None, -1, warn)
@@ -276,8 +276,8 @@ class CheckpointFile:
             return None
 
 
-def _rooms(program: Program, n_sys: int, instances: int) -> tuple[int, ...]:
-    """Return for each kind of record the largest size in bytes."""
+def rooms(program: Program, n_sys: int, instances: int) -> tuple[int, ...]:
+    """Return the largest size in bytes of each kind of record: Mission, Locals, Acceptor."""
     shared = sum(4 + v.bound.bytes for v in program.shared)
     own = sum(v.bound.bytes for v in program.locals)
     ports = sum(1 + p.bound.bytes for p in _actuators(program) if p.bound is not None)

@@ -24,6 +24,7 @@ from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.layout import Layout
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics, tally
+from koordgen.runtime.net.sender import Sending
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Entry, EntryPart
 from koordgen.runtime.ops.journal import Emit, Journal
@@ -58,6 +59,7 @@ class Agent:
     program: the program that all robots run, or the applications of the fleet.
     boot: id of this start of the process; 8 random bytes.
     properties: properties of the program, or of each application by its name.
+    outlet: see Link.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Agent:
         limit: Limit = unlimited,
         properties: Mapping[str, Properties] | Properties | None = None,
         cpu: Cpu | None = None,
+        outlet: Callable[[Sending], Sending] | None = None,
     ) -> None:
         self._settings = settings
         self._platform = platform
@@ -96,13 +99,14 @@ class Agent:
         self._journal.watch(self.monitors.hear)
         self._stalls = Stalls(self._journal.stall)
         self._link = Link(
-            own, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics
+            own, settings, key, transport, clock, self._fleet_clock, boot, self._journal.error, self.metrics, outlet
         )
         self._joining = Joining(self._link, self._layout, self._names)
         programs = [instance.runner.program for instance in self._instances]
         self._persistence = Persistence(store, programs, len(self._names))
         if self._persistence.interrupted:
             self._joining.come_back(self._persistence.interrupted)
+            self._fleet_clock.forget()
         fence, budget = settings.geofence, settings.planner_budget
         self._body = VehicleInterface(
             own, platform, fence, budget, self._journal.warn, settings.avoid, settings.pid, clock.now,
@@ -137,6 +141,20 @@ class Agent:
     def round(self) -> int:
         """The present round; 0 before round 1."""
         return self._rounds.round if self._rounds is not None else 0
+
+    @property
+    def state(self) -> StateMachine | None:
+        """This robot's copy of the shared store; None before round 1, and during a rejoin after a restart."""
+        return None if self._driver is None or self._rounds is None else self._driver.replica.state
+
+    def began(self, round_: int) -> float:
+        """Return the local time (s) at which a round began or will begin. Call this only after round 1 began."""
+        return math.inf if self._rounds is None else self._rounds.began(round_)
+
+    @property
+    def hindrance(self) -> str:
+        """Reason why no event ran in the last closed round; "" if an event ran."""
+        return "" if self._rounds is None else self._rounds.reason or ""
 
     @property
     def expects(self) -> tuple[int, float]:
@@ -285,6 +303,7 @@ class Agent:
         wake = self._joining.poll(now, fleet)
         if self._joining.lost and self.phase == "joining":
             self._journal.warn("no other robot is in the mission that this robot was in: a new mission begins")
+            self._link.keep_time(0, now)
             self._run_init(now)
         self._begin_rounds(now)
         return wake

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import msgspec
@@ -70,6 +71,35 @@ class Loaded:
     mission: Mission | None = None
     locals: tuple[Locals, ...] = ()
     acceptor: Acceptor | None = None
+
+
+NOTHING = Loaded()
+
+
+class MemoryStore:
+    """Store of records in memory, which outlives an agent. Implements checkpoint.CheckpointStore."""
+
+    def __init__(self, kept: Loaded = NOTHING) -> None:
+        self._mission, self._acceptor = kept.mission, kept.acceptor
+        self._locals: deque[Locals] = deque(kept.locals, maxlen=KEPT + 1)
+
+    def write(self, record: Kept) -> bool:
+        match record:
+            case Mission():
+                self._mission = record
+            case Acceptor():
+                self._acceptor = record
+            case Locals():
+                self._locals.append(record)
+        return True
+
+    def load(self) -> Loaded:
+        newest = {record.round: record for record in self._locals}
+        return Loaded(self._mission, tuple([newest[r] for r in sorted(newest)[-KEPT:]]), self._acceptor)
+
+    def clear(self) -> None:
+        self._mission = self._acceptor = None
+        self._locals.clear()
 
 
 class Identity(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -230,6 +230,10 @@ class Rounds:
                 return False
         return True
 
+    def began(self, round_: int) -> float:
+        """Return the local time at which a round began or will begin."""
+        return self._clock.local(self._start + (round_ - 1) * self._delta)
+
     def _local_time_at(self, part: float) -> float:
         """Return the local time at which the fraction `part` of the present round has passed."""
         return self._clock.local(self._start + (self.round - 1 + part) * self._delta)

@@ -29,12 +29,22 @@ Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.05, le=10000.0)]
 
 
+class PeerAddress(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Address at which a robot receives datagrams."""
+
+    host: str
+    port: Port
+
+
 class Peer(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Robot of the fleet, and the address at which it receives datagrams. Its pid is its index in `peers`."""
+    """Robot of the fleet, and the address at which it receives datagrams. Its pid is its index in `peers`.
+
+    `also`: further addresses, if the robot is a fleet: datagrams go to each of its robots."""
 
     name: str
     host: str
     port: Port
+    also: tuple[PeerAddress, ...] = ()
 
 
 class Origin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

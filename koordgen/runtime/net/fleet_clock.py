@@ -25,6 +25,7 @@ ROUNDING = 2e-6  # seconds; largest rounding error, because time stamps are whol
 # Largest correction of a locked clock, as a share of the elapsed time. It keeps fleet time monotonic and rounds even.
 SLEW = 0.05
 FRESH = 0.02  # seconds for which an estimate is reused; in this time two clocks drift apart by at most 4 microseconds
+NO_REFERENCE = -1
 STEP = 0.1  # seconds; a larger deviation from the estimate is no estimation error, so a clock was reset
 
 
@@ -182,6 +183,13 @@ class FleetClock:
         else:
             self._last = now
         return self._offset if self._known else None
+
+    def forget(self) -> None:
+        """Know no fleet time until `follow` is called: the time of a mission that runs is not that of the local clock.
+
+        An agent calls this if it rejoins. Its computer may have been restarted, or the agent moved to another one."""
+        self.reference = NO_REFERENCE
+        self._known = False
 
     def follow(self, reference: int, now: float) -> None:
         """Follow robot `reference` from now on. Earlier exchanges with that robot are used as well."""

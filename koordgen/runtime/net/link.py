@@ -13,7 +13,7 @@ from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.codec import decoder
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.metrics import Arrival, Metrics
-from koordgen.runtime.net.sender import REFERENCE_EVERY, MessageSender, microseconds, others_every
+from koordgen.runtime.net.sender import REFERENCE_EVERY, MessageSender, Sending, microseconds, others_every
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.transport import Transport
 from koordgen.runtime.net.wire import Head, Hello, Message, ReplicaMessage, RoundMessage
@@ -39,6 +39,7 @@ class Link:
     """Receive path (`receive`) and send path (`sender`) of one robot.
 
     report: function that reports a text to the operator; called once for each peer and kind of mismatch.
+    outlet: function that returns a sender in front of the robot's own; None: messages leave at once.
     sessions: pid -> session of a peer whose boot was adopted.
     strangers: robots of this mission that sent messages from a boot that was not adopted."""
 
@@ -53,6 +54,7 @@ class Link:
         boot: bytes,
         report: Callable[[str], None],
         metrics: Metrics,
+        outlet: Callable[[Sending], Sending] | None = None,
     ) -> None:
         self.metrics = metrics
         self.pid = settings.pid
@@ -74,7 +76,8 @@ class Link:
         self._fleet_clock = fleet_clock
         self._report = report
         self._reported: set[tuple[int, str]] = set()
-        self.sender = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        own = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self.sender: Sending = own if outlet is None else outlet(own)
 
     @property
     def epoch(self) -> bytes:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from random import Random
+from types import MappingProxyType
 
 from koordgen.runtime.net.transport import MOST_AT_ONCE
 from koordgen.runtime.net.wire import LIMIT
 from koordgen.runtime.values.clock import Clock
 
+EACH: Mapping[int, Sequence[int]] = MappingProxyType({})
 OVERTAKEN = 0.05  # seconds; largest additional delay of a reordered datagram
 
 
@@ -61,11 +63,14 @@ class MemoryNetwork:
         self.sent = 0
         self._queues: dict[int, Queue] = {}
 
-    def transport(self, pid: int) -> MemoryTransport:
-        """Return a new transport for robot `pid`. Datagrams on the way to its previous transport are dropped."""
+    def transport(self, pid: int, places: Mapping[int, Sequence[int]] = EACH) -> MemoryTransport:
+        """Return a new transport for robot `pid`. Datagrams on the way to its previous transport are dropped.
+
+        places: receiver that is a fleet -> the places of its robots in this network, which all get its datagrams. Every
+            other receiver has its pid as its place."""
         queue: Queue = []
         self._queues[pid] = queue
-        return MemoryTransport(self, pid, queue)
+        return MemoryTransport(self, pid, queue, places)
 
     def others(self, pid: int) -> list[int]:
         return sorted(self._queues.keys() - {pid})
@@ -100,8 +105,10 @@ class MemoryNetwork:
 class MemoryTransport:
     """Transport of one robot in a MemoryNetwork."""
 
-    def __init__(self, network: MemoryNetwork, pid: int, queue: Queue) -> None:
-        self._network = network
+    def __init__(
+        self, network: MemoryNetwork, pid: int, queue: Queue, places: Mapping[int, Sequence[int]] = EACH
+    ) -> None:
+        self._network, self._places = network, places
         self._pid = pid
         self._queue = queue
         self._closed = False
@@ -112,7 +119,8 @@ class MemoryTransport:
             self.troubles["send: closed"] = self.troubles.get("send: closed", 0) + 1
             return
         for pid in self._network.others(self._pid) if self._network.group and len(to) > 1 else to:
-            self._network.send(self._pid, pid, datagram)
+            for place in self._places.get(pid, (pid,)):
+                self._network.send(self._pid, place, datagram)
 
     def receive(self) -> Sequence[bytes]:
         return self._network.arrived(self._queue)

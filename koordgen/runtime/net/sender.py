@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 from koordgen.runtime.config.settings import Settings
 from koordgen.runtime.net.codec import encode, encoder, overhead, pack
@@ -41,6 +41,20 @@ NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
 
 # Fields of a RoundMessage after its head.
 Fields = tuple[int, int, int, int, bool, tuple[int, ...], tuple[Entry, ...]]
+
+
+class Sending(Protocol):
+    """Interface of a sender of messages. `room`: bytes in one datagram for entries or a fragment."""
+
+    epoch: bytes
+    room: int
+
+    def hello(self, to: int, challenge: bytes, answer: bytes, holds: tuple[int, ...], init: Entry | None,
+              start: int | None) -> None: ...  # fmt: skip
+
+    def send(self, to: Collection[int], kind: type[Any], *fields: Any) -> None: ...
+
+    def round(self, to: Sequence[int], fields: Any, received: Mapping[int, HeldFragments] = NOTHING) -> None: ...
 
 
 class MessageSender:

@@ -2,7 +2,8 @@
 
    This code does not read the content of datagrams, allocates no memory, opens and closes no sockets, and writes only
    into memory that its caller, socket_batch.py, owns. Without a compiler, inbox.py does the same in Python; the same
-   tests run against both. socket_batch.py defines LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP.
+   tests run against both. socket_batch.py defines LARGEST, MOST_AT_ONCE, IN_TURN, MOST_ECHOES, GROUP,
+   PLACES.
 
    C99, POSIX, and Linux's recvmmsg. */
 
@@ -20,7 +21,7 @@
 #include <sys/socket.h>
 #include <time.h>
 
-enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1, PLACES = GROUP + 1 };
+enum { MOST_SOCKETS = 2, MOST_ERRORS = 16, ECHO = -1 };
 
 /* All times are in nanoseconds. */
 static const int64_t SECOND = 1000000000;

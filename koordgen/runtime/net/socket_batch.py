@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from koordgen.runtime.native.loader import Compiled, NotCompiled, declare
-from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, Address
+from koordgen.runtime.net.transport import GROUP, IN_TURN, LARGEST, MOST_AT_ONCE, MOST_ECHOES, PLACES, Address
 
 SOURCE = Path(__file__).with_name("socket_batch.c")
 FLAGS = (
@@ -28,6 +28,7 @@ FLAGS = (
     f"-DIN_TURN={IN_TURN}",
     f"-DMOST_ECHOES={MOST_ECHOES}",
     f"-DGROUP={GROUP}",
+    f"-DPLACES={PLACES}",
 )
 _MOST_ERRORS = 16
 _LONGEST = 2000.0  # seconds; longest wait that the C library accepts

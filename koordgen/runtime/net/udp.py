@@ -12,7 +12,7 @@ from typing import cast
 
 from koordgen.runtime.config.settings import Network, Peer
 from koordgen.runtime.net.inbox import open_inbox
-from koordgen.runtime.net.transport import GROUP, Address, CannotOpen
+from koordgen.runtime.net.transport import FURTHER, GROUP, PLACES, Address, CannotOpen
 
 RECEIVE_BUFFER = 1 << 20
 
@@ -30,6 +30,8 @@ class UnicastTransport:
         own = peers[pid]
         family, address = _resolve(Peer(own.name, bind or own.host, own.port), family)
         self._addresses = dict(enumerate(_resolve(peer, family)[1] for peer in peers))  # pid -> address
+        self._further: dict[int, list[int]] = {}  # pid of a robot that is a fleet -> places of its further addresses
+        self._add_further(peers, pid, family)
         self.troubles: dict[str, int] = {}
         hosts = [address[0] for address in self._addresses.values()]
         self._shares = hosts.count(hosts[pid]) > 1  # other robots share this computer
@@ -41,12 +43,27 @@ class UnicastTransport:
         for pid in to:
             if error := self._inbox.send(pid, datagram):
                 self._count("send", error)
+            if self._further:
+                for place in self._further.get(pid, ()):
+                    if error := self._inbox.send(place, datagram):
+                        self._count("send", error)
         if self._shares and len(to) > 1:
             os.sched_yield()  # other robots on this core also have to send
 
     def close(self) -> None:
         self._inbox.close()
         self._close_sockets()
+
+    def _add_further(self, peers: Sequence[Peer], own: int, family: socket.AddressFamily) -> None:
+        """Look up the further addresses of the other robots. Raises CannotOpen."""
+        place = FURTHER
+        for pid, peer in enumerate(peers):
+            for address in peer.also if pid != own else ():
+                if place == PLACES:
+                    raise CannotOpen(f"robot {peer.name}: the fleet has more than {PLACES - FURTHER} further addresses")
+                self._addresses[place] = _resolve(Peer(peer.name, address.host, address.port), family)[1]
+                self._further.setdefault(pid, []).append(place)
+                place += 1
 
     def _open_inbox(self) -> None:
         """Open one inbox for all sockets. It sends from the first socket, which has the robot's address."""

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.fixtures.fleet import Kept
 from benchmarks.fixtures.lineform import PROGRAM
 from benchmarks.fixtures.quad_rig import Rig, at, settings
 from koordgen.runtime.agent.machine import SURROUNDINGS, Agent
+from koordgen.runtime.agent.records import MemoryStore
 from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import SimulatedClock
@@ -28,7 +28,7 @@ class Flown:
         network = MemoryNetwork(self.clock, 1, Conditions())
         self.agent = Agent(
             PROGRAM, settings(), None, self.rig.quad, self.clock, network.transport(0),
-            Trace(None, self.lines.append), lambda level, line: self.lines.append(line), bytes(8), Kept(),
+            Trace(None, self.lines.append), lambda level, line: self.lines.append(line), bytes(8), MemoryStore(),
         )  # fmt: skip
         assert self.run(30.0, lambda: self.agent.phase == "running" and self.agent.round > 5), self.lines
 

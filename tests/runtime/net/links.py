@@ -13,6 +13,7 @@ from koordgen.runtime.net import codec
 from koordgen.runtime.net.fleet_clock import FleetClock
 from koordgen.runtime.net.link import Link
 from koordgen.runtime.net.metrics import Metrics
+from koordgen.runtime.net.sender import MessageSender
 from koordgen.runtime.net.sessions import PeerSession
 from koordgen.runtime.net.wire import Entry, Head, Hello, Message, RoundMessage, Write
 from koordgen.runtime.values.clock import SimulatedClock
@@ -109,6 +110,7 @@ class Mouth:
         self.link = Link(
             PROGRAM, given, KEY, self, self.clock, self.fleet_clock, BOOT, print, Metrics(OWN, n)  # type: ignore[arg-type]
         )  # fmt: skip
+        assert isinstance(self.link.sender, MessageSender)
         self.speech, self.sessions = self.link.sender, self.link.sessions
         self.others = [p for p in range(n) if p != OWN]
         self.link.epoch = EPOCH

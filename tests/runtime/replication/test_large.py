@@ -15,6 +15,7 @@ from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net import codec
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.net.sender import MessageSender
 from koordgen.runtime.net.wire import LIMIT, Entry, RoundMessage, Write
 from koordgen.runtime.program.program import Event, Frame, Transaction, Variable
 from koordgen.runtime.values.bounds import Cells
@@ -119,6 +120,7 @@ def test_a_report_with_entries_goes_in_as_few_datagrams_as_it_fits_in(length: in
     fleet = Fleet(n=3).boot_all()
     fleet.run_rounds(3)
     speech, sent = fleet.robots[0].agent._link.sender, list[bytes]()
+    assert isinstance(speech, MessageSender)
     fleet.network.send = lambda sender, receiver, datagram: sent.append(datagram)  # type: ignore[method-assign]
     value = Raw(codec.encoder.encode("x" * length))
     entries = [Entry(0, 0, r, r, acted=True, writes=(Write(0, value),)) for r in range(1, 5)]

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.fixtures.fleet import NAMES, Fleet, Kept, Robot
+from benchmarks.fixtures.fleet import NAMES, Fleet, Robot
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent.checkpoint import CheckpointFile, CheckpointStore
-from koordgen.runtime.agent.records import KEPT, Acceptor, Locals, Mission
+from koordgen.runtime.agent.records import KEPT, Acceptor, Locals, MemoryStore, Mission
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions
 from tests.runtime.replication.agents import locals_of, snapshot_of
@@ -151,7 +151,10 @@ def test_one_robot_alone_begins_anew() -> None:
 
 
 def keepers(folder: Path) -> list[CheckpointStore]:
-    return [Kept(), CheckpointFile.open(folder / "state", PROGRAM, NAMES[0], 0, 5, lambda text: pytest.fail(text))]
+    return [
+        MemoryStore(),
+        CheckpointFile.open(folder / "state", PROGRAM, NAMES[0], 0, 5, lambda text: pytest.fail(text)),
+    ]
 
 
 def test_the_tests_stand_in_keeps_what_the_file_keeps(tmp_path: Path) -> None:

@@ -1,0 +1,228 @@
+"""Host of an outer robot: one inner robot runs the outer agent and keeps its checkpoint in the inner store.
+
+A robot that counts in the view and has not stopped can be the host. If the host is no such robot any more, the one with
+the lowest pid takes its place. It claims the record (see squad_record), and starts the outer agent once its claim is
+committed. From then on every write of a checkpoint record makes a new version, which the next inner round writes.
+Messages of the outer agent that depend on a version leave once that write is committed. Two writes of one round are
+ordered by pid, so a host that lost the round to a claim finds another host in the record: it then drops its outer agent
+and all messages that wait."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from hashlib import blake2s
+from typing import Any, NamedTuple
+
+from koordgen.runtime.agent.held_sender import HeldSender
+from koordgen.runtime.agent.machine import Agent
+from koordgen.runtime.agent.squad import MODULE, RECORD, STORED, WRITTEN, SensorValues, Squad
+from koordgen.runtime.agent.squad_platform import SquadPlatform
+from koordgen.runtime.agent.squad_record import HostRecord, RecordStore, claimed, read_record
+from koordgen.runtime.config.settings import Settings
+from koordgen.runtime.net.sender import Sending
+from koordgen.runtime.net.transport import Transport
+from koordgen.runtime.ops.journal import Emit
+from koordgen.runtime.program.fleet_program import FleetProgram
+from koordgen.runtime.program.program import Transaction
+from koordgen.runtime.program.runner import Limit, unlimited
+from koordgen.runtime.replication.state_machine import StateMachine
+from koordgen.runtime.trace.writer import Observe, Trace
+from koordgen.runtime.values.clock import Clock
+from koordgen.runtime.vehicle.drivers import Drivers
+
+LATE = 3  # rounds by which the inner store may lag behind before the outer robot counts as not ready
+LONGEST_EVENT = 0.2  # largest duration of an event of the outer program, in rounds of the inner fleet
+
+
+class HostSurroundings(NamedTuple):
+    """Surroundings of the outer agents on one inner robot.
+
+    settings, key: those of the outer robot. boot: boot id of the inner agent. trace: function that opens the trace of
+    one outer agent. monitors: see Agent. limit: the time limit of the process for events.
+    """
+
+    settings: Settings
+    key: bytes | None
+    boot: bytes
+    clock: Clock
+    transport: Transport
+    trace: Callable[[], Trace]
+    emit: Emit
+    limit: Limit = unlimited
+    monitors: tuple[Observe, ...] = ()
+
+
+class SquadHost:
+    """Second task of an inner agent's process: it runs the outer agent while this robot is the host.
+
+    fleet: the inner fleet with the application `outer`. Call `attach` with the inner agent, then `poll` as often as the
+    inner agent's `poll`. `outer` is the outer agent; None if another robot is the host.
+    """
+
+    def __init__(self, squad: Squad, inner: FleetProgram, pid: int, delta: float, around: HostSurroundings) -> None:
+        self.squad, self.around = squad, around
+        self.fleet = squad.with_outer(inner, len(around.settings.peers), self)
+        self.outer: Agent | None = None
+        self._pid, self._delta = pid, delta
+        self._first = self.fleet.instances[-1].number + 1 - inner.robots  # instance of robot 0
+        self._sensors = SensorValues(squad, self.fleet)
+        self._inner: Agent | None = None
+        self._store: RecordStore | None = None
+        self._sender: HeldSender | None = None
+        self._platform: SquadPlatform | None = None
+        self._over = False  # the outer robot has ended
+        self._trace: Trace | None = None
+        self._known: tuple[Any, HostRecord] = None, HostRecord()
+
+    def attach(self, inner: Agent) -> None:
+        """Set the inner agent, which runs `fleet`."""
+        self._inner = inner
+
+    @property
+    def drivers(self) -> Drivers:
+        """Driver of the application's module, for `with_drivers`."""
+        return {MODULE: lambda: self}
+
+    # Driver of the module that the application commands.
+
+    def sense(self) -> dict[str, Any]:
+        return {}
+
+    def command(self, actuators: Mapping[str, Any]) -> None:
+        """Act on a write of this robot that is committed: start the outer agent, or release its messages."""
+        record, version = self._record(), next(iter(actuators.values()))
+        if record is None or record.boot != self.around.boot or self._over:
+            return
+        if self._store is None or self._store.term != record.term:
+            self._begin(record)
+        if self._sender is not None and self._platform is not None:
+            self._sender.release(version)
+            self._platform.committed(version)
+
+    # Guards and effects of the application's events; see HostEvents.
+
+    def may_claim(self, s: Transaction) -> bool:
+        return self.outer is None and not self._over and self._is_next(read_record(s.shared(RECORD).value))
+
+    def claim(self, s: Transaction) -> None:
+        record = read_record(s.shared(RECORD).value)
+        s.shared(RECORD).value = claimed(record, self._pid, self.around.boot)
+        s.actuator(WRITTEN).value = record.version
+
+    def has_news(self, s: Transaction) -> bool:
+        record = read_record(s.shared(RECORD).value)
+        store = self._store
+        return store is not None and store.is_of(record) and record.version != store.version
+
+    def write(self, s: Transaction) -> None:
+        assert self._store is not None and self._platform is not None
+        s.shared(RECORD).value = self._store.value()
+        for name, value in self._platform.writes().items():
+            s.shared(name).value = value
+        s.actuator(WRITTEN).value = self._store.version
+
+    # The outer agent.
+
+    def poll(self, now: float) -> float:
+        """Do all work that is due at local time `now`. Return the latest local time for the next call."""
+        if self.outer is not None and self._is_replaced():
+            self._drop()
+        if self.outer is None:
+            self.around.transport.receive()  # datagrams to the squad are for its host
+            return math.inf
+        wake = self.outer.poll(now)
+        if self.outer.done:
+            self._over = True
+            self._drop()
+        return wake
+
+    def _begin(self, record: HostRecord) -> None:
+        """Start the outer agent with the checkpoint of a record that this robot has claimed."""
+        self._drop()
+        around = self.around
+        store = self._store = RecordStore(record)
+        self._platform = SquadPlatform(self.squad, self, self._touched)
+
+        def outlet(sender: Sending) -> Sending:
+            self._sender = HeldSender(sender, lambda: store.version, record.version)
+            return self._sender
+
+        self._trace = around.trace()
+        boot = blake2s(around.boot + record.term.to_bytes(8, "big"), digest_size=8).digest()
+        around.transport.receive()
+        self.outer = Agent(
+            self.squad.program, around.settings, around.key, self._platform, around.clock, around.transport,
+            self._trace, around.emit, boot, store, monitors=around.monitors, limit=self._limit,
+            properties=self.squad.properties, outlet=outlet,
+        )  # fmt: skip
+        around.emit("info", f"{around.settings.robot}: hosted by this robot (term {record.term})")
+
+    def _drop(self) -> None:
+        """End the outer agent at once. The bodies go on: they belong to the inner fleet."""
+        if self.outer is not None:
+            self.outer = None
+            self.around.emit("info", f"{self.around.settings.robot}: no longer hosted by this robot")
+        if self._trace is not None:
+            self._trace.close()
+        self._trace = self._store = self._sender = self._platform = None
+
+    def _touched(self) -> int:
+        assert self._store is not None
+        self._store.touch()
+        return self._store.version
+
+    def _limit(self, seconds: float) -> AbstractContextManager[None]:
+        return self.around.limit(min(seconds, LONGEST_EVENT * self._delta))
+
+    def _is_replaced(self) -> bool:
+        """Return whether this robot must not host the outer robot any longer."""
+        record, store = self._record(), self._store
+        if record is None or store is None or self._inner is None or self._inner.phase != "running":
+            return True
+        return not store.is_of(record)
+
+    def _record(self) -> HostRecord | None:
+        """Return the record in the inner store; None without a store."""
+        state = self._state()
+        if state is None:
+            return None
+        value = state.shared[STORED]
+        if value is not self._known[0]:
+            self._known = value, read_record(value)
+        return self._known[1]
+
+    def _state(self) -> StateMachine | None:
+        return None if self._inner is None else self._inner.state
+
+    def _is_next(self, record: HostRecord) -> bool:
+        """Return whether this robot is to be the host: the present one if it still can, else that of lowest pid."""
+        state = self._state()
+        if state is None:
+            return False
+        able = [p for p, m in enumerate(state.view.members) if m >= 0 and self._first + p not in state.stopped]
+        return self._pid == (record.pid if record.pid in able else min(able, default=-1))
+
+    # What the outer robot sees of the inner fleet; see squad_platform.InnerFleet.
+
+    def values(self) -> tuple[Mapping[str, Any], float]:
+        state, inner = self._state(), self._inner
+        if state is None or inner is None:
+            return dict.fromkeys(self.squad.sensors), -math.inf
+        return self._sensors.of(state.shared), inner.began(state.applied)
+
+    def trouble(self) -> str:
+        state, inner = self._state(), self._inner
+        if state is None or inner is None:
+            return "the inner robots have not begun"
+        lag = inner.round - 1 - state.applied
+        return f"the inner fleet is {lag} rounds behind: {inner.hindrance}" if lag > LATE else ""
+
+    def stop(self, why: str) -> None:
+        if self._inner is not None:
+            self._inner.stop_all(f"{self.around.settings.robot}: {why}")
+
+    @property
+    def stopped(self) -> bool:
+        return self._inner is not None and self._inner.phase == "stopped"

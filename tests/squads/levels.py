@@ -1,0 +1,274 @@
+"""Outer fleets whose robots are fleets themselves, in one process on a simulated clock."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from random import Random
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from benchmarks.fixtures.fleet import KEY, FakePlatform, settings
+from koordgen.build.emit.program import program_text
+from koordgen.lang.semantics.composition import Application, System
+from koordgen.runtime.agent.machine import Agent
+from koordgen.runtime.agent.records import MemoryStore
+from koordgen.runtime.agent.squad import Squad
+from koordgen.runtime.agent.squad_host import HostSurroundings, SquadHost
+from koordgen.runtime.config.settings import Safety
+from koordgen.runtime.net.network import Conditions, MemoryNetwork
+from koordgen.runtime.program.fleet_program import FleetApplication, FleetProgram
+from koordgen.runtime.program.program import Program
+from koordgen.runtime.program.runner import NO_EVENT
+from koordgen.runtime.replication.log import Logged
+from koordgen.runtime.replication.state_machine import StateMachine
+from koordgen.runtime.trace.writer import RoundRecord, Trace
+from koordgen.runtime.values.clock import SimulatedClock
+from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.vehicle.drivers import with_drivers
+from tests.composed.agents import Applied, CountedEvents
+from tests.lang.semantics.compositions import compiled
+
+INNER = 0.1  # seconds in a round of the inner fleets
+OUTER = 0.5  # seconds in a round of the outer fleet
+QUIET = Conditions(delay=0.001, jitter=0.004)
+
+TRIANGLE = """
+provides Motion:
+  sensors:
+    Point position = middle(corner)
+    bool reached = distance(middle(corner), goal) <= 0.2
+  actuators: Point target = goal
+using Motion:
+  sensors: Point position
+  actuators: Point target
+allwrite:
+  Point goal
+  int turns
+allread: Point corner[N_SYS]
+fun middle(List<Point> ps) -> Point:
+  Point sum = Point(0, 0, 0)
+  for p in ps:
+    sum = sum + p
+  return sum / max(len(ps), 1)
+init:
+  corner[pid] = Motion.position
+Go:
+  pre: True
+  eff:
+    turns = turns + 1
+    Motion.target = goal + Point(pid, 0, 0)
+    corner[pid] = Motion.position
+"""
+
+
+def loaded(name: str, text: str) -> Any:
+    """Return the generated module of a program."""
+    module = ModuleType(name)
+    sys.modules[name] = module
+    vars(module)["__file__"] = f"{name}.py"
+    exec(compile(program_text(compiled(name, text)), f"{name}.py", "exec"), vars(module))
+    return module
+
+
+_triangle = loaded("program_triangle", TRIANGLE)
+
+
+def squad_of(outer: Program) -> Squad:
+    """Return the squad of triangles that an outer program sees."""
+    sensors = {
+        "Motion.position": lambda s: _triangle.fun_middle(s.shared_corner.all),
+        "Motion.reached": lambda s: (
+            distance(_triangle.fun_middle(s.shared_corner.all), s.shared_goal.value + Point(1, 0, 0)) <= 0.2
+        ),
+    }
+    used = {port.name for port in outer.ports}
+    return Squad(0, {n: f for n, f in sensors.items() if n in used}, {"Motion.target": "goal"}, outer)
+
+
+@dataclass
+class Node:
+    """Process of one physical robot: its agent, and the host of the outer robot if it is in a squad.
+
+    fleet: outer pid of its squad; -1 for an ordinary robot of the outer fleet. pid: its pid in that fleet.
+    """
+
+    place: int
+    fleet: int
+    pid: int
+    agent: Agent
+    platform: FakePlatform
+    clock: SimulatedClock
+    host: SquadHost | None = None
+    wake: float = 0.0
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def outer(self) -> Agent | None:
+        return self.agent if self.host is None else self.host.outer
+
+
+class Levels(CountedEvents):
+    """Outer fleet of `sizes` robots: a number above 0 is the number of robots of a squad, 0 an ordinary robot.
+
+    `records` and `applied` are those of the outer fleet.
+    """
+
+    def __init__(
+        self, text: str, sizes: Sequence[int], seed: int = 1, conditions: Conditions = QUIET, timeout: int = 10
+    ) -> None:
+        self.time, self.random = SimulatedClock(), Random(seed)
+        self.sizes = tuple(sizes)
+        self.outer_program: Program = loaded("outer_program", text).PROGRAM
+        super().__init__(System((Application("app", compiled("app", text), tuple(range(len(sizes)))),), len(sizes)))
+        self.safety = Safety(position_stale=0.7, position_lost=10000.0, peer_timeout=timeout)
+        self.between = MemoryNetwork(self.time, self.random.getrandbits(32), conditions)  # of the outer fleet
+        self.inside = [MemoryNetwork(self.time, self.random.getrandbits(32), conditions) for _ in sizes]
+        self.nodes: dict[int, Node] = {}
+        self.down: set[int] = set()  # places of the robots that are killed
+        self.hosts: list[tuple[float, int, int]] = []  # (time, outer pid, inner pid): changes of a host
+        self._where: list[tuple[int, int]] = []  # place -> (squad or -1, pid)
+        self._of_squad: dict[int, list[int]] = {}  # outer pid of a squad -> places of its robots
+        for pid, size in enumerate(sizes):
+            self._of_squad[pid] = list(range(len(self._where), len(self._where) + max(1, size)))
+            self._where += [(pid, inner) for inner in range(size)] or [(-1, pid)]
+        self._kept = [MemoryStore() for _ in self._where]
+        self._clocks = [SimulatedClock(self.time, 100.0 * (p + 1), 1 + 20e-6 * p) for p in range(len(self._where))]
+        for place in range(len(self._where)):
+            self.boot(place)
+
+    def boot(self, place: int) -> Node:
+        """Start or restart the process of a physical robot."""
+        fleet, pid = self._where[place]
+        clock, lines = self._clocks[place], list[str]()
+        old = self.nodes.get(place)
+        platform = FakePlatform(old.platform.position if old else Point(place, 0, 0))
+        transport = self.between.transport(place, self._of_squad)
+
+        def trace() -> Trace:
+            return Trace(io.BytesIO(), lines.append)
+
+        if fleet < 0:
+            agent = Agent(
+                self.outer_program, settings(pid, len(self.sizes), OUTER, safety=self.safety), KEY, platform, clock,
+                transport, trace(), lambda level, line: lines.append(line), self.random.randbytes(8), self._kept[place],
+                monitors=[lambda record: self._keep(pid, record)],
+            )  # fmt: skip
+            host = None
+        else:
+            around = HostSurroundings(
+                settings(fleet, len(self.sizes), OUTER, safety=self.safety), KEY, self.random.randbytes(8), clock,
+                transport, trace, lambda level, line: lines.append(line),
+                monitors=(lambda record: self._keep(fleet, record),),
+            )  # fmt: skip
+            size = self.sizes[fleet]
+            inner = FleetProgram(
+                (FleetApplication("triangle", _triangle.PROGRAM, tuple(range(size))),), size,
+                _triangle.PROGRAM.program_hash, _triangle.PROGRAM.interface_hash,
+            )  # fmt: skip
+            host = SquadHost(squad_of(self.outer_program), inner, pid, INNER, around)
+            body = with_drivers(platform, host.fleet.of(pid), host.drivers)
+            agent = Agent(
+                host.fleet, settings(pid, size, INNER, application_id=fleet + 1), KEY, body, clock,
+                self.inside[fleet].transport(pid), trace(), lambda level, line: lines.append(line),
+                self.random.randbytes(8), self._kept[place],
+            )  # fmt: skip
+            host.attach(agent)
+        self.down.discard(place)
+        node = self.nodes[place] = Node(place, fleet, pid, agent, platform, clock, host, self.time.time, lines)
+        return node
+
+    def kill(self, place: int) -> None:
+        """End the process of a physical robot at once."""
+        fleet, pid = self._where[place]
+        self.down.add(place)
+        self.between._queues.pop(place, None)
+        if fleet >= 0:
+            self.inside[fleet]._queues.pop(pid, None)
+
+    def _keep(self, outer: int, record: RoundRecord) -> None:
+        self.records[outer, record.round] = record
+
+    def places(self, squad: int) -> list[int]:
+        """Return the places of the robots of a squad."""
+        return self._of_squad[squad]
+
+    def host(self, squad: int) -> Node | None:
+        """Return the node that hosts an outer robot now."""
+        running = [self.nodes[p] for p in self._of_squad[squad] if p not in self.down and self.nodes[p].outer]
+        return running[-1] if running else None
+
+    def outer(self, pid: int) -> Agent | None:
+        """Return the agent of an outer robot."""
+        node = self.host(pid)
+        return None if node is None else node.outer
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Run for some time, or until a condition holds. Return whether it held."""
+        end = self.time.time + seconds
+        with observing(self.applied):
+            while not until():
+                first, node = math.inf, None
+                for other in self.nodes.values():
+                    if other.place not in self.down and not other.agent.done and (due := self._due(other)) < first:
+                        first, node = due, other
+                if node is None or first > end:
+                    self.time.time = end
+                    return until()
+                self.time.time = max(self.time.time, first)
+                self._poll(node)
+        return True
+
+    def _due(self, node: Node) -> float:
+        arrival = self.between.next_arrival(node.place)
+        if node.fleet >= 0:
+            arrival = min(arrival, self.inside[node.fleet].next_arrival(node.pid))
+        return min(node.wake, arrival)
+
+    def _poll(self, node: Node) -> None:
+        before = node.outer
+        wake = node.agent.poll(node.clock.now())
+        if node.host is not None:
+            wake = min(wake, node.host.poll(node.clock.now()))
+            if node.outer is not before and node.outer is not None:
+                self.hosts.append((self.time.time, node.fleet, node.pid))
+        node.wake = max(node.clock.true(wake), self.time.time + 1e-6)
+
+    def run_rounds(self, rounds: int, seconds: float = 60.0) -> None:
+        """Run until each outer robot has taken part in an outer round from `rounds` on."""
+        robots = range(len(self.sizes))
+        done = self.run(seconds + rounds * OUTER, lambda: min(map(self.last_part, robots)) >= rounds)
+        assert done, {p: (n.agent.phase, n.agent.round, n.lines[-4:]) for p, n in self.nodes.items()}
+
+    def last_part(self, robot: int) -> int:
+        """Return the last outer round in which an outer robot ran an event, or had none to run."""
+        return max(
+            [r for p, r in self.records if p == robot and self.records[p, r].skipped in (None, NO_EVENT)], default=0
+        )
+
+    @property
+    def complete(self) -> int:
+        """Last outer round of which each outer robot has recorded the result."""
+        return min(max(r for p, r in self.records if p == robot) for robot in range(len(self.sizes)))
+
+
+@contextmanager
+def observing(rounds: dict[int, Applied]) -> Iterator[None]:
+    """Record the events of each outer round as the outer robots apply it."""
+    apply = StateMachine._apply
+
+    def applied(state: StateMachine, entries: Sequence[Logged], through: int) -> None:
+        apply(state, entries, through)
+        if not state._layout.is_composed:
+            arrived = frozenset([e.instance for logged in entries for e in logged.events if e.acted])
+            rounds[through] = Applied(arrived, frozenset([n for n in arrived if state.acted[n] == through]))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StateMachine, "_apply", applied)
+        yield

@@ -1,0 +1,96 @@
+"""The outer robot of a squad: it runs on one inner robot, and survives its loss."""
+
+from __future__ import annotations
+
+from koordgen.runtime.values.points import Point, distance
+from tests.squads.levels import Levels
+
+LINE = """
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target at position clears reached
+allread: Point x[N_SYS]
+local: int k
+init:
+  x[pid] = Motion.position
+Update:
+  pre: not (pid == N_SYS - 1 or pid == 0)
+  eff:
+    k += 1
+    Motion.target = (x[pid + 1] + x[pid - 1]) / 2
+    x[pid] = Motion.position
+"""
+
+
+def test_a_squad_takes_part_in_the_outer_fleet() -> None:
+    levels = Levels(LINE, [0, 3, 0])
+    levels.run_rounds(20)
+    middle = (levels.nodes[0].platform.position + levels.nodes[4].platform.position) / 2
+    position = levels.records[1, 20].sensors["Motion.position"]
+    assert distance(position, middle + Point(1, 0, 0)) < 0.1, (position, middle)
+    assert levels.records[1, 20].event == "Update"
+
+
+COUNT = """
+using Motion:
+  sensors: Point position
+  actuators: Point target
+allwrite: int total
+allread: int own[N_SYS]
+local: int k
+Both:
+  pre: k % 3 == 2
+  eff:
+    atomic:
+      k += 1
+      total = total + 1
+      own[pid] = k
+Count:
+  pre: True
+  eff:
+    k += 1
+    own[pid] = k + total
+"""
+
+
+def test_the_host_is_the_robot_of_lowest_pid_and_keeps_the_outer_robot() -> None:
+    levels = Levels(COUNT, [3, 3, 0])
+    levels.run_rounds(4)
+    assert {(squad, pid) for _, squad, pid in levels.hosts} == {(0, 0), (1, 0)}
+    levels.kill(0)
+    levels.run_rounds(20)
+    levels.boot(0)
+    levels.run_rounds(40)
+    assert [(squad, pid) for _, squad, pid in levels.hosts[2:]] == [(0, 1)], "it does not go back"
+    assert levels.follow(40)["event"] > 90
+
+
+def test_the_outer_robot_goes_on_when_another_inner_robot_dies() -> None:
+    levels = Levels(COUNT, [3, 0, 0])
+    levels.run_rounds(6)
+    levels.kill(2)
+    levels.run_rounds(20)
+    seen = levels.follow(20)
+    assert len(levels.hosts) == 1
+    skipped = [r for r in range(1, 21) if levels.records[0, r].skipped]
+    assert len(skipped) <= 4 and seen["event"] >= 60 - 6, skipped
+
+
+def test_the_outer_robot_holds_without_an_inner_majority() -> None:
+    levels = Levels(LINE, [0, 3, 0])
+    levels.run_rounds(6)
+    host = levels.host(1)
+    assert host is not None
+    levels.kill(2)
+    levels.kill(3)
+    levels.run(20)
+    assert host.outer is not None and host.outer.phase == "running"
+    assert any("the inner fleet is" in line and "rounds behind" in line for line in host.lines), host.lines
+    ended = max(r for p, r in levels.records if p == 1)
+    assert levels.run(1, lambda: levels.records[0, ended + 20].event is None), "the others went on without it"
+    levels.boot(2)
+    assert levels.run(
+        60, lambda: any(p == 1 and r > ended + 20 and levels.records[p, r].event for p, r in levels.records)
+    )
