@@ -21,6 +21,9 @@ from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
 
+UNKNOWN = -1  # time stamp of no datagram; it is not echoed
+
+
 class _Exchange(NamedTuple):
     """Time stamps of a datagram from this robot to a peer and of the peer's answer, in microseconds.
 
@@ -119,6 +122,7 @@ class Link:
             head = message.head
             session = sessions.get(head.pid)
             if session is not None and session.boot != head.boot:
+                session.sent = UNKNOWN  # a new process must not take an echo of the old one's clock for its own
                 session = None
             ours = (head.application, head.interface, head.program, head.epoch) == mission
             if session is None or not ours or isinstance(message, Hello):

@@ -16,6 +16,7 @@ from koordgen.runtime.agent.checkpoint import CheckpointFile, CheckpointStore
 from koordgen.runtime.agent.records import KEPT, Acceptor, Locals, MemoryStore, Mission
 from koordgen.runtime.config.settings import Safety
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.clock import SimulatedClock
 from tests.runtime.replication.agents import locals_of, snapshot_of
 from tests.runtime.replication.reference import check_visibility
 from tests.runtime.replication.test_transactions import COUNTER, OFTEN
@@ -125,6 +126,21 @@ def test_outputs_and_what_is_seen_go_on_where_they_were(seed: int) -> None:
     assert again and again == list(range(again[0], again[0] + len(again)))
     assert again[0] in (done[-1] + 1, done[-1] + 2), "at most one that counted was not told before it died"
     assert new.agent.phase == "running" and not new.platform.held
+
+
+@pytest.mark.parametrize(
+    ("seed", "pid", "jump"), [(9, 1, 90.0), (13, 1, 90.0), (54, 1, 90.0), (1, 0, 90.0), (1, 0, -90.0)]
+)
+def test_a_robot_whose_computer_was_restarted_comes_back_with_another_clock(seed: int, pid: int, jump: float) -> None:
+    conditions = Conditions(loss=0.4, delay=0.001, jitter=0.02)
+    fleet = Fleet(n=3, seed=seed, conditions=conditions, program=ENDLESS, safety=SOON).boot_all()
+    fleet.run_rounds(20)
+    kill(fleet, pid)
+    fleet._clocks[pid] = SimulatedClock(fleet.time, offset=100.0 * (pid + 1) + jump)
+    fleet.boot(pid)
+    fleet.run(10.0)
+    rounds = [robot.agent.round for robot in fleet.robots.values()]
+    assert max(rounds) - min(rounds) <= 1 and total(fleet.robots[pid]) is not None, rounds
 
 
 def test_when_all_die_at_once_a_new_mission_begins() -> None:
