@@ -21,9 +21,6 @@ from koordgen.runtime.program.program import Program
 from koordgen.runtime.values.clock import Clock
 
 
-UNKNOWN = -1  # time stamp of no datagram; it is not echoed
-
-
 class _Exchange(NamedTuple):
     """Time stamps of a datagram from this robot to a peer and of the peer's answer, in microseconds.
 
@@ -80,6 +77,7 @@ class Link:
         self._report = report
         self._reported: set[tuple[int, str]] = set()
         own = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
+        self._stamps = own.stamps
         self.sender: Sending = own if outlet is None else outlet(own)
 
     @property
@@ -122,7 +120,6 @@ class Link:
             head = message.head
             session = sessions.get(head.pid)
             if session is not None and session.boot != head.boot:
-                session.sent = UNKNOWN  # a new process must not take an echo of the old one's clock for its own
                 session = None
             ours = (head.application, head.interface, head.program, head.epoch) == mission
             if session is None or not ours or isinstance(message, Hello):
@@ -211,9 +208,11 @@ class Link:
         return what
 
     def _exchange(self, head: Head) -> _Exchange | None:
-        """Return the exchange that a head completes with an echo of this robot's datagram, or None."""
+        """Return the exchange that a head completes with an echo of this process's datagram, or None.
+
+        A peer that has not adopted this boot yet still echoes an earlier process, which may have had another clock."""
         for echo in head.echoes:
-            if echo.pid == self.pid:
+            if echo.pid == self.pid and echo.sent in self._stamps:
                 return _Exchange(head.sent, echo.sent, echo.received, head.fleet)
         return None
 

@@ -5,6 +5,7 @@ A round message is sent in as few datagrams as possible. Entries longer than a d
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -35,6 +36,7 @@ from koordgen.runtime.values.clock import Clock
 REFERENCE_EVERY, OTHERS_EVERY = 0.1, 1.0  # seconds between two exchanges with the reference, with another peer
 OTHERS = 16  # largest fleet in which OTHERS_EVERY holds; in a larger fleet, exchanges with each peer are rarer
 ECHOES_A_LESSON = 2  # number of echoes sent for each exchange that the fleet clock needs, because some echoes are lost
+ECHOED = 1024  # number of last datagrams whose echoes are of use; a peer echoes the last datagram that it has received
 MOST_DATAGRAMS = 4  # largest number of datagrams of one round message
 MOST_FRAGMENTS_AT_ONCE = 16
 NOTHING: Mapping[int, HeldFragments] = MappingProxyType({})
@@ -60,7 +62,8 @@ class Sending(Protocol):
 class MessageSender:
     """Sender of one robot's messages.
 
-    sessions: pid -> session of an adopted peer. Datagrams of these peers are echoed, for the fleet clock."""
+    sessions: pid -> session of an adopted peer. Datagrams of these peers are echoed, for the fleet clock.
+    stamps: time stamps of the last ECHOED datagrams, in microseconds. Echoes of other datagrams are of no use."""
 
     def __init__(
         self,
@@ -84,6 +87,8 @@ class MessageSender:
         self._clock = clock
         self._fleet_clock = fleet_clock
         self._sessions = sessions
+        self.stamps: set[int] = set()
+        self._stamped: deque[int] = deque()  # the same, by age
         self._sequence = 0  # sequence number of the last datagram
         self._others_every = others_every(len(settings.peers))
         self._echoed: dict[int, float] = {}  # pid -> time of the last echo to that peer, by ascending time
@@ -132,8 +137,20 @@ class MessageSender:
         offset = self._fleet_clock.offset(now)
         echoes = () if every is None and now < self._next_echo else self._echoes(to, now, every)
         self._sequence += 1
-        stamps = microseconds(now), None if offset is None else round(offset * 1e6)
-        return Head(*self._own, self.epoch, self._sequence, *stamps, echoes)
+        sent = microseconds(now)
+        self._stamp(sent)
+        return Head(
+            *self._own, self.epoch, self._sequence, sent, None if offset is None else round(offset * 1e6), echoes
+        )
+
+    def _stamp(self, sent: int) -> None:
+        """Remember the time stamp of a datagram, and forget the oldest one."""
+        stamps, stamped = self.stamps, self._stamped
+        if sent not in stamps:
+            stamps.add(sent)
+            stamped.append(sent)
+            if len(stamped) > ECHOED:
+                stamps.remove(stamped.popleft())
 
     def _echoes(self, to: Collection[int], now: float, every: float | None) -> tuple[Echo, ...]:
         """Return the echoes that are due to peers in `to`. The reference robot sends echoes most often."""

@@ -65,6 +65,13 @@ class Learning(FleetClock):
         return super().add(peer, *stamps)
 
 
+class AllStamps(set[int]):
+    """Time stamps of a link that has sent a datagram at each time."""
+
+    def __contains__(self, stamp: object) -> bool:
+        return True
+
+
 class Ear:
     """A link that has adopted some peers, and all that a datagram may change."""
 
@@ -79,7 +86,7 @@ class Ear:
         self.link = Link(
             PROGRAM, given, KEY, self, self.clock, self.fleet_clock, BOOT, self.told.append, self.metrics  # type: ignore[arg-type]
         )  # fmt: skip
-        self.link.epoch = EPOCH
+        self.link.epoch, self.link._stamps = EPOCH, AllStamps()
         for pid in boots:
             self.link.adopt(hello(head(pid, ADOPTED, sent=1_000_000)))
 
