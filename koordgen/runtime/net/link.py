@@ -6,7 +6,7 @@ this application, interface, program and mission. Every other datagram is droppe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from typing import NamedTuple
 
 from koordgen.runtime.config.settings import Settings
@@ -77,7 +77,7 @@ class Link:
         self._report = report
         self._reported: set[tuple[int, str]] = set()
         own = MessageSender(program, settings, key, transport, clock, fleet_clock, boot, self.sessions)
-        self._stamps = own.stamps
+        self._stamps: Container[int] = own.stamps
         self.sender: Sending = own if outlet is None else outlet(own)
 
     @property

@@ -313,3 +313,14 @@ def test_echoes_of_others_teach_nothing() -> None:
     ear = Ear()
     message = word(head(echoes=(Echo(127, 1, 2),) * 8))
     assert ear.hear(sealed(message)) == [message] and ear.fleet_clock.lessons == []
+
+
+def test_an_echo_of_a_datagram_that_this_process_has_not_sent_is_not_learned_from() -> None:
+    """It is of an earlier process of this robot, whose clock may have been another."""
+    ear = Ear()
+    ear.link._stamps = {1_500_000}
+    ear.clock.time += 10.0
+    for sent in (1_500_001, 1_500_000):
+        sequence = ear.link.sessions[2].newest + 1
+        ear.hear(sealed(word(head(2, sequence, sent=3_000_000, echoes=(Echo(OWN, sent, 1_600_000),)))))
+    assert [lesson[1] for lesson in ear.fleet_clock.lessons] == [1.5]
