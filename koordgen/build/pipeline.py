@@ -19,7 +19,8 @@ from koordgen.lang.syntax.parse import parse
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from koordgen.build.bundle.plan import Files
+    from koordgen.build.bundle.plan import Files, Ingredients
+    from koordgen.build.bundle.plan_system import SystemIngredients
     from koordgen.fleet.file import Fleet
     from koordgen.fleet.manifest import Target
     from koordgen.fleet.robots import FleetRobot
@@ -37,11 +38,15 @@ class Rejected(Exception):
 
 
 class Checked(Node):
-    """A program without errors, with the warnings and notes of its check."""
+    """A program without errors, with the warnings and notes of its check.
+
+    `elsewhere`: warnings and notes about other files of a build, each with its source.
+    """
 
     source: Source
     program: Program
     diagnostics: tuple[Diagnostic, ...]
+    elsewhere: tuple[tuple[Source, Diagnostic], ...] = ()
 
 
 class CheckedSystem(Node):
@@ -165,12 +170,13 @@ def plan_file(
 
     checked = check_file(path)
     fleet: Fleet | None = None
+    inner: tuple[CheckedSystem, ...] = ()
     given = dict(params)
     if fleet_path is not None:
         targets = {name: manifest.load(name) for name in manifest.available()}
-        fleet, from_file = read_fleet(fleet_path, targets, checked.program, path)
-        given = {**from_file, **given}
-        needed = {r.target for r in fleet.robots}.union(wanted or ())
+        fleet, inner = _read_levels(fleet_path, targets, checked.program, path, squads)
+        given = {**fleet.params, **given}
+        needed = {r.target for r in fleet.robots if r.inner is None}.union(wanted or ())
     else:
         needed = set(wanted or ())
         targets = {name: manifest.load(name) for name in needed}
@@ -188,10 +194,47 @@ def plan_file(
         budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
         slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
         checked = replace(checked, diagnostics=tuple(in_order([*checked.diagnostics, *sending, *slow])))
-    source = Path(path).read_bytes()
-    return checked, plan(
-        read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted or needed
-    )
+    source, package = Path(path).read_bytes(), resources.package()
+    if fleet and inner:
+        needed |= {robot.target for each in inner for robot in each.fleet.robots}
+        used = tuple(targets[name] for name in sorted(needed))
+        these = read_ingredients(program, source, used, fleet, package, own, given)
+        notes, bundles = _plan_squads(these, read_source(str(fleet_path)), inner, wanted or needed)
+        return replace(checked, elsewhere=tuple(notes)), bundles
+    return checked, plan(read_ingredients(program, source, used, fleet, package, own, given), wanted or needed)
+
+
+def _plan_squads(
+    these: Ingredients, source: Source, inner: tuple[CheckedSystem, ...], wanted: Collection[str]
+) -> tuple[list[tuple[Source, Diagnostic]], dict[str, Files]]:
+    """Plan the bundles of an outer fleet with squads. Return warnings and notes about the inner fleets, too.
+
+    `these`: of the outer program. `source`: the outer fleet file. `inner`: the fleet of each squad. Raises Rejected.
+    """
+    from koordgen.build.bundle.plan_squads import SquadIngredients, plan_squads, used_ports
+    from koordgen.build.bundle.plan_system import NamesClash
+    from koordgen.build.bundle.squad_budget import with_outer
+
+    assert these.fleet is not None
+    for target in these.targets:
+        if target.kind == "harness" and target.name in wanted:
+            message = f"{these.fleet.squads[0].name} is a fleet itself, which the target {target.name} does not support"
+            raise Rejected([_of_squad(source, these.fleet.squads[0], message, _SUPPORT)])
+    notes, squads = dict[object, tuple[Source, Diagnostic]](), []
+    for squad, checked in zip(these.fleet.squads, inner, strict=True):
+        assert squad.inner is not None
+        provider = next(i for i, a in enumerate(checked.system.applications) if a.program.provides)
+        ports = [each for _, each in used_ports(these.program, checked.system.applications[provider].program)]
+        span = squad.inner.spans["inner"]
+        outer = with_outer(checked.system, provider, these.program, len(these.fleet.robots), ports, span)
+        found, ingredients = _system_ingredients(checked, these.targets, (source, outer))
+        # several squads may have one program
+        notes |= {(source.path, d.code, d.message, d.span.line, d.span.column): (source, d) for source, d in found}
+        squads.append(SquadIngredients(squad, ingredients, provider))
+    try:
+        return list(notes.values()), plan_squads(these, squads, wanted)
+    except NamesClash as clash:
+        raise Rejected([_of_squad(source, these.fleet.squads[0], str(clash), "")]) from None
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
@@ -199,7 +242,8 @@ def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
     from koordgen.build.bundle.budget import check_budget, check_link
 
     robots, to_all = len(fleet.robots), fleet.network["transport"] in ("broadcast", "multicast")
-    return check_budget(program, robots) or check_link(program, robots, fleet.delta, fleet.link, to_all)
+    addresses = sum([len(robot.inner.addresses) if robot.inner else 1 for robot in fleet.robots])
+    return check_budget(program, robots) or check_link(program, robots, fleet.delta, fleet.link, to_all, addresses)
 
 
 def _beside(
@@ -429,25 +473,41 @@ def plan_fleet_file(
 
     `wanted`: names of existing targets; None: those of the fleet's robots. Raises Rejected, ManifestError.
     """
+    from koordgen.build.bundle.plan_system import NamesClash, plan_system
+    from koordgen.fleet import manifest
+
+    checked = check_system(fleet_path)
+    needed = {r.target for r in checked.fleet.robots}.union(wanted or ())
+    notes, these = _system_ingredients(checked, tuple(manifest.load(name) for name in sorted(needed)))
+    try:
+        return notes, plan_system(these, wanted or needed)
+    except NamesClash as clash:
+        span = checked.fleet.applications[0].spans[""]
+        raise Rejected([(checked.source, Diagnostic("F005", "error", str(clash), span))]) from None
+
+
+def _system_ingredients(
+    checked: CheckedSystem, used: tuple[Target, ...], outer: tuple[Source, System] | None = None
+) -> tuple[list[tuple[Source, Diagnostic]], SystemIngredients]:
+    """Read the files of a fleet with `applications`. Return warnings and notes, too.
+
+    `used`: the targets to build for. `outer`: for the fleet of a squad, the outer fleet file, and the system with the
+    application of the outer program. Raises Rejected, ManifestError.
+    """
     from pathlib import Path
 
-    from koordgen.build.bundle.plan_system import (
-        ApplicationFiles,
-        NamesClash,
-        plan_system,
-        read_system_ingredients,
-        slow_calls,
-    )
+    from koordgen.build.bundle.plan_system import ApplicationFiles, read_system_ingredients, slow_calls
     from koordgen.build.emit.system import with_sizes
     from koordgen.fleet import manifest
     from koordgen.lang import resources
 
-    checked = check_system(fleet_path)
-    fleet, system = checked.fleet, with_sizes(checked.system)
+    fleet, system, fleet_path = checked.fleet, with_sizes(checked.system), checked.source.path
     targets = {name: manifest.load(name) for name in manifest.available()}
-    needed = {r.target for r in fleet.robots}.union(wanted or ())
-    used = tuple(targets[name] for name in sorted(needed))
-    notes = _check_system_sending(checked, system)
+    sources = [part.source for part in checked.parts]
+    if outer is None:
+        notes = _check_system_sending(fleet, sources, system)
+    else:
+        notes = _check_system_sending(fleet, [*sources, outer[0]], with_sizes(outer[1]))
     found = [(source, d) for source, d in notes if d.severity == "error"]
     parts = []
     for part, settings, application in zip(checked.parts, fleet.applications, system.applications, strict=True):
@@ -464,24 +524,18 @@ def plan_fleet_file(
         raise Rejected(found)
     shares = {a.name: a.share for a in fleet.applications if a.share is not None}
     these = read_system_ingredients(system, tuple(parts), used, fleet, resources.package(), shares)
-    try:
-        bundles = plan_system(these, wanted or needed)
-    except NamesClash as clash:
-        span = fleet.applications[0].spans[""]
-        raise Rejected([(checked.source, Diagnostic("F005", "error", str(clash), span))]) from None
     notes += [(checked.parts[index].source, d) for index, d in slow_calls(these)]
     once = {part.source.path: part for part in checked.parts}
-    return [*((part.source, d) for part in once.values() for d in part.diagnostics), *notes], bundles
+    return [*((part.source, d) for part in once.values() for d in part.diagnostics), *notes], these
 
 
-def _check_system_sending(checked: CheckedSystem, system: System) -> list[tuple[Source, Diagnostic]]:
-    """Check sizes of messages of all applications; see _check_sending."""
+def _check_system_sending(fleet: Fleet, sources: list[Source], system: System) -> list[tuple[Source, Diagnostic]]:
+    """Check sizes of messages of all applications; see _check_sending. `sources`: of the applications' programs."""
     from koordgen.build.bundle.system_budget import check_system_budget, check_system_link
 
-    fleet = checked.fleet
     names, to_all = [robot.name for robot in fleet.robots], fleet.network["transport"] in ("broadcast", "multicast")
     found = check_system_budget(system, names) or check_system_link(system, names, fleet.delta, fleet.link, to_all)
-    return [(checked.parts[index].source, d) for index, d in found]
+    return [(sources[index], d) for index, d in found]
 
 
 def _own_drivers(application: Application, fleet: Fleet) -> dict[str, DriverClass]:

@@ -14,7 +14,7 @@ from koordgen.fleet.address import Address, control_port, outer_port
 from koordgen.fleet.applications import MOST_INSTANCES
 from koordgen.fleet.file import Fleet
 from koordgen.fleet.robots import FleetRobot
-from koordgen.fleet.squads import InnerFleet
+from koordgen.fleet.squads import SquadEntry
 from koordgen.lang.diagnostics import Diagnostic
 from koordgen.lang.ir.decl import Module, Port, Program, Provided
 from koordgen.lang.ir.printer import capacities
@@ -41,7 +41,7 @@ class InnerLevel(Node):
     parts: tuple[ApplicationProgram, ...]
 
     @property
-    def inner(self) -> InnerFleet:
+    def inner(self) -> SquadEntry:
         assert self.robot.inner is not None
         return self.robot.inner
 

@@ -134,7 +134,7 @@ def _build(options: Namespace) -> int:
         help = f"name a fleet file with --fleet, or targets with --target; possible targets: {available_targets()}"
         raise Failure(USAGE, "neither --fleet nor --target is given", help)
     targets = None if options.target is None else target_names(options.target)
-    bundles, app = planned(options, targets)
+    bundles, app = planned(options, targets, squads=True)
     if targets is not None and (missing := left_out(bundles, targets)):
         notify(
             f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built"

@@ -10,7 +10,7 @@ from koordgen.fleet.address import control_port, read_address
 from koordgen.fleet.deployment import Login, read_login
 from koordgen.fleet.manifest import ACTIONS, Target
 from koordgen.fleet.settings import NameChecks, read_given, read_settings
-from koordgen.fleet.squads import InnerFleet, is_squad, read_squad
+from koordgen.fleet.squads import SquadEntry, is_squad, read_squad
 from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.ir.types import MOST_ROBOTS
 from koordgen.lang.node import Node
@@ -36,7 +36,7 @@ class FleetRobot(Node):
     settings: dict[str, Any]
     harness: dict[str, dict[str, Any]]  # settings of this robot in each harness, without defaults
     login: Login | None  # `host` of the fleet file: the computer on which its agent runs
-    inner: InnerFleet | None = None
+    inner: SquadEntry | None = None
 
 
 class Roster(Node):

@@ -26,7 +26,7 @@ _MISPLACED = {
 }
 
 
-class InnerFleet(Node):
+class SquadEntry(Node):
     """Fleet that is one robot of an outer fleet.
 
     `file`: path of its fleet file, relative to the folder of the outer fleet file. `addresses`: the addresses of its
@@ -46,7 +46,7 @@ def is_squad(entry: YamlNode) -> bool:
 
 def read_squad(
     reader: YamlReader, entry: YamlNode, what: str, refused: tuple[str, ...]
-) -> tuple[InnerFleet, dict[str, YamlNode]]:
+) -> tuple[SquadEntry, dict[str, YamlNode]]:
     """Read the keys `inner` and `ports` of a robot. Return all keys, too.
 
     `refused`: the keys that only robots with a target have.
@@ -69,7 +69,7 @@ def read_squad(
             reader.report("F006", message, node, "each inner robot needs an address of its own")
     if "ports" in keys and isinstance(keys["ports"], yaml.SequenceNode) and not entries:
         reader.report("F005", f"{what}'s ports is empty", keys["ports"], "remove it, or list an address for each robot")
-    return InnerFleet(file, tuple(found), spans), keys
+    return SquadEntry(file, tuple(found), spans), keys
 
 
 def named_fleets(source: Source) -> dict[str, Span]:
