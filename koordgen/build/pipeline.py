@@ -174,7 +174,7 @@ def plan_file(
     given = dict(params)
     if fleet_path is not None:
         targets = {name: manifest.load(name) for name in manifest.available()}
-        fleet, inner = _read_levels(fleet_path, targets, checked.program, path, squads)
+        fleet, inner = read_levels(fleet_path, targets, checked.program, path, squads)
         given = {**fleet.params, **given}
         needed = {r.target for r in fleet.robots if r.inner is None}.union(wanted or ())
     else:
@@ -297,14 +297,14 @@ def read_fleet(
     the folder of the fleet file, then in that of the program. `squads`: True if the caller can work with robots that
     are fleets themselves. Otherwise such robots are refused.
     """
-    fleet, _ = _read_levels(path, targets, program, program_path, squads)
+    fleet, _ = read_levels(path, targets, program, program_path, squads)
     return fleet, fleet.params
 
 
-def _read_levels(
+def read_levels(
     path: str, targets: Mapping[str, Target], program: Program | None, program_path: str, squads: bool
 ) -> tuple[Fleet, tuple[CheckedSystem, ...]]:
-    """Read a fleet file, and those of its squads. Return the checked inner fleets in the order of the squads, too.
+    """Read a fleet file, and those of its squads. Return the inner fleets in the order of the squads, too.
 
     Parameters: see read_fleet. Raises Rejected, ManifestError.
     """

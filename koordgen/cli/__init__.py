@@ -112,6 +112,9 @@ def _check(options: Namespace) -> int:
     from koordgen.build.pipeline import check_part, check_system
     from koordgen.cli.base.values import is_fleet
 
+    if options.fleet is not None:
+        planned(options, None, squads=True)
+        return HOLDS
     parts = check_system(options.program).parts if is_fleet(options.program) else (check_part(options.program),)
     once = {part.source.path: part for part in parts}
     print_diagnostics([(part.source, d) for part in once.values() for d in part.diagnostics], options)
