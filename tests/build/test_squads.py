@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from koordgen.build.pipeline import Rejected, check_file, read_fleet
 from koordgen.fleet import manifest
 from koordgen.fleet.file import Fleet
-from tests.build.squad_files import LINEFORM, OUTER, fleet_files
+from tests.build.squad_files import LINEFORM, OUTER, WORLD, fleet_files, inner_fleet
 
 TARGETS = {name: manifest.load(name) for name in manifest.available()}
 
@@ -169,3 +170,19 @@ def test_squads_are_refused_unless_they_are_supported(tmp_path: Path) -> None:
     ((_, found),) = rejected.value.found
     assert found.message == "alpha is a fleet itself, which this command does not support"
     assert (found.span.line, found.span.column) == (6, 26)
+
+
+def test_the_example_of_the_page_fits(tmp_path: Path) -> None:
+    page = (LINEFORM.parents[2] / "docs/reference/fleet.md").read_text()
+    section = page[page.index("## A fleet as one robot") :]
+    outer, alpha = re.findall(r"```yaml\n(# \w+.yaml\n.*?)```", section, re.DOTALL)
+    path = fleet_files(tmp_path, f"{outer}delta: 0.3\n{WORLD}")
+    (tmp_path / "alpha.yaml").write_text(f"{alpha}{WORLD}")
+    (tmp_path / "beta").mkdir()
+    (tmp_path / "beta/fleet.yaml").write_text(
+        inner_fleet(("eve", "fay", "gus"), 3).replace("triangle.k", "../triangle.k")
+    )
+    squads = read(path).squads
+    assert [(squad.name, squad.host, squad.port) for squad in squads] == [
+        ("alpha", "192.168.1.41", 49100), ("beta", "10.0.0.1", 49000),
+    ]  # fmt: skip

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class OuterFleet(NamedTuple):
-    """What a proof reads of the fleet file: values of params, and the fleets that are robots of it.
+    """Parts of a fleet file that a proof reads: values of params, and the fleets that are robots.
 
     `inner`: the fleet of each squad, by the squad's name. `targeted`: the other robots of a fleet with squads."""
 

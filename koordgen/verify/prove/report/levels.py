@@ -71,7 +71,7 @@ class LevelVerdicts(NamedTuple):
 
     @property
     def slack(self) -> str:
-        """What is not covered by a verdict about an assumption that reads an actuator."""
+        """Limit of a verdict about an assumption that reads an actuator, as text."""
         seconds = self.slack_seconds
         return SLACK if seconds is None else f"{SLACK} ({seconds:g} s)"
 
