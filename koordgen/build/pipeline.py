@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from koordgen.lang.analyze.program import check
 from koordgen.lang.diagnostics import Diagnostic, in_order, together
-from koordgen.lang.ir.decl import Program, is_step, own_shared
-from koordgen.lang.ir.stmt import LoopInvariant
-from koordgen.lang.ir.tree import walk
-from koordgen.lang.ir.types import POINT, RecordType, list_of
-from koordgen.lang.ir.types import Sequence as SequenceType
+from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.verify import verify
 from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
@@ -23,9 +19,11 @@ from koordgen.lang.syntax.parse import parse
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from koordgen.build.bundle.plan import Files
+    from koordgen.build.bundle.plan import Files, Ingredients
+    from koordgen.build.bundle.plan_system import SystemIngredients
     from koordgen.fleet.file import Fleet
     from koordgen.fleet.manifest import Target
+    from koordgen.fleet.robots import FleetRobot
     from koordgen.fleet.settings import DriverClass, NameChecks, ValueCheck
     from koordgen.lang.analyze.params import Value
     from koordgen.lang.semantics.composition import Application, System
@@ -40,11 +38,15 @@ class Rejected(Exception):
 
 
 class Checked(Node):
-    """A program without errors, with the warnings and notes of its check."""
+    """A program without errors, with the warnings and notes of its check.
+
+    `elsewhere`: warnings and notes about other files of a build, each with its source.
+    """
 
     source: Source
     program: Program
     diagnostics: tuple[Diagnostic, ...]
+    elsewhere: tuple[tuple[Source, Diagnostic], ...] = ()
 
 
 class CheckedSystem(Node):
@@ -146,6 +148,7 @@ def plan_file(
     fleet_path: str | None,
     params: Mapping[str, Value],
     functions: str | None = None,
+    squads: bool = False,
 ) -> tuple[Checked, dict[str, Files]]:
     """Plan the bundles of one build, in memory.
 
@@ -153,6 +156,7 @@ def plan_file(
 
     `wanted`: names of existing targets. None, which needs a fleet file, means the targets of the fleet's robots.
     `functions`: the file of the extern functions, if it is not `<app>_functions.py` beside the program.
+    `squads`: see read_fleet.
     Raises Rejected, BadParam, ManifestError.
     """
     from pathlib import Path
@@ -166,12 +170,13 @@ def plan_file(
 
     checked = check_file(path)
     fleet: Fleet | None = None
+    inner: tuple[CheckedSystem, ...] = ()
     given = dict(params)
     if fleet_path is not None:
         targets = {name: manifest.load(name) for name in manifest.available()}
-        fleet, from_file = read_fleet(fleet_path, targets, checked.program, path)
-        given = {**from_file, **given}
-        needed = {r.target for r in fleet.robots}.union(wanted or ())
+        fleet, inner = read_levels(fleet_path, targets, checked.program, path, squads)
+        given = {**fleet.params, **given}
+        needed = {r.target for r in fleet.robots if r.inner is None}.union(wanted or ())
     else:
         needed = set(wanted or ())
         targets = {name: manifest.load(name) for name in needed}
@@ -189,10 +194,47 @@ def plan_file(
         budget = planner_budget(program, len(fleet.robots), fleet.delta, fleet.planner_budget)
         slow = check_calls(program, len(fleet.robots), fleet.delta, budget)
         checked = replace(checked, diagnostics=tuple(in_order([*checked.diagnostics, *sending, *slow])))
-    source = Path(path).read_bytes()
-    return checked, plan(
-        read_ingredients(program, source, used, fleet, resources.package(), own, given), wanted or needed
-    )
+    source, package = Path(path).read_bytes(), resources.package()
+    if fleet and inner:
+        needed |= {robot.target for each in inner for robot in each.fleet.robots}
+        used = tuple(targets[name] for name in sorted(needed))
+        these = read_ingredients(program, source, used, fleet, package, own, given)
+        notes, bundles = _plan_squads(these, read_source(str(fleet_path)), inner, wanted or needed)
+        return replace(checked, elsewhere=tuple(notes)), bundles
+    return checked, plan(read_ingredients(program, source, used, fleet, package, own, given), wanted or needed)
+
+
+def _plan_squads(
+    these: Ingredients, source: Source, inner: tuple[CheckedSystem, ...], wanted: Collection[str]
+) -> tuple[list[tuple[Source, Diagnostic]], dict[str, Files]]:
+    """Plan the bundles of an outer fleet with squads. Return warnings and notes about the inner fleets, too.
+
+    `these`: of the outer program. `source`: the outer fleet file. `inner`: the fleet of each squad. Raises Rejected.
+    """
+    from koordgen.build.bundle.plan_squads import SquadIngredients, plan_squads, used_ports
+    from koordgen.build.bundle.plan_system import NamesClash
+    from koordgen.build.bundle.squad_budget import with_outer
+
+    assert these.fleet is not None
+    for target in these.targets:
+        if target.kind == "harness" and target.name in wanted:
+            message = f"{these.fleet.squads[0].name} is a fleet itself, which the target {target.name} does not support"
+            raise Rejected([_of_squad(source, these.fleet.squads[0], message, _SUPPORT)])
+    notes, squads = dict[object, tuple[Source, Diagnostic]](), []
+    for squad, checked in zip(these.fleet.squads, inner, strict=True):
+        assert squad.inner is not None
+        provider = next(i for i, a in enumerate(checked.system.applications) if a.program.provides)
+        ports = [each for _, each in used_ports(these.program, checked.system.applications[provider].program)]
+        span = squad.inner.spans["inner"]
+        outer = with_outer(checked.system, provider, these.program, len(these.fleet.robots), ports, span)
+        found, ingredients = _system_ingredients(checked, these.targets, (source, outer))
+        # several squads may have one program
+        notes |= {(source.path, d.code, d.message, d.span.line, d.span.column): (source, d) for source, d in found}
+        squads.append(SquadIngredients(squad, ingredients, provider))
+    try:
+        return list(notes.values()), plan_squads(these, squads, wanted)
+    except NamesClash as clash:
+        raise Rejected([_of_squad(source, these.fleet.squads[0], str(clash), "")]) from None
 
 
 def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
@@ -200,7 +242,8 @@ def _check_sending(program: Program, fleet: Fleet) -> list[Diagnostic]:
     from koordgen.build.bundle.budget import check_budget, check_link
 
     robots, to_all = len(fleet.robots), fleet.network["transport"] in ("broadcast", "multicast")
-    return check_budget(program, robots) or check_link(program, robots, fleet.delta, fleet.link, to_all)
+    addresses = sum([len(robot.inner.addresses) if robot.inner else 1 for robot in fleet.robots])
+    return check_budget(program, robots) or check_link(program, robots, fleet.delta, fleet.link, to_all, addresses)
 
 
 def _beside(
@@ -246,19 +289,32 @@ def _own_classes(path: str, fleet_path: str, fleet: Fleet, targets: Mapping[str,
 
 
 def read_fleet(
-    path: str, targets: Mapping[str, Target], program: Program | None, program_path: str = ""
+    path: str, targets: Mapping[str, Target], program: Program | None, program_path: str = "", squads: bool = False
 ) -> tuple[Fleet, dict[str, Value]]:
-    """Read a fleet file. Return the fleet and its params as values. Raises Rejected.
+    """Read a fleet file. Return the fleet and its params as values. Raises Rejected, ManifestError.
 
     Without a `program`, params are not checked against their declarations. Classes that settings name are looked up in
-    the folder of the fleet file, then in that of the program.
+    the folder of the fleet file, then in that of the program. `squads`: True if the caller can work with robots that
+    are fleets themselves. Otherwise such robots are refused.
     """
+    fleet, _ = read_levels(path, targets, program, program_path, squads)
+    return fleet, fleet.params
+
+
+def read_levels(
+    path: str, targets: Mapping[str, Target], program: Program | None, program_path: str, squads: bool
+) -> tuple[Fleet, tuple[CheckedSystem, ...]]:
+    """Read a fleet file, and those of its squads. Return the inner fleets in the order of the squads, too.
+
+    Parameters: see read_fleet. Raises Rejected, ManifestError.
+    """
+    from koordgen.build.name_checks import name_checks, param_check
     from koordgen.fleet.settings import NameChecks
 
     source = read_source(path)
-    params = {p.name: _fits(program, p.name) for p in program.params} if program is not None else None
+    params = {p.name: param_check(program, p.name) for p in program.params} if program is not None else None
     folders = _folders(path, program_path or path)
-    known = _known({"": program}, folders) if program is not None else NameChecks()
+    known = name_checks({"": program}, folders) if program is not None else NameChecks()
     read = _read_fleet(source, targets, params, known)
     if program is not None and read.applications:
         message = f"this fleet file names the programs of its applications, but {program_path} is given as well"
@@ -267,7 +323,75 @@ def read_fleet(
         )
         span = read.applications[0].spans[""]
         raise Rejected([(source, Diagnostic("F005", "error", message, span, help=help))])
-    return read, read.params
+    if not read.squads:
+        return read, ()
+    if not squads:
+        message = f"{read.squads[0].name} is a fleet itself, which this command does not support"
+        raise Rejected([_of_squad(source, read.squads[0], message, _SUPPORT)])
+    return _with_inner_fleets(read, source, None if program is None else (read_source(program_path), program))
+
+
+_SUPPORT = "`koordgen docs fleet#a-fleet-as-one-robot` lists the commands that support it"
+
+
+def _of_squad(source: Source, squad: FleetRobot, message: str, help: str) -> tuple[Source, Diagnostic]:
+    """Return an error at the inner fleet of a robot. `source`: the outer fleet file."""
+    assert squad.inner is not None
+    return source, Diagnostic("F005", "error", message, squad.inner.spans["inner"], help=help)
+
+
+def _with_inner_fleets(
+    fleet: Fleet, source: Source, program: tuple[Source, Program] | None
+) -> tuple[Fleet, tuple[CheckedSystem, ...]]:
+    """Read the fleet files of all squads, and check that they fit the outer fleet and its program.
+
+    `source`: the outer fleet file. `program`: the outer program; None if it is not known. Raises Rejected.
+    """
+    from pathlib import Path
+
+    from koordgen.build.composition import ApplicationProgram
+    from koordgen.build.squads import InnerLevel, check_fleets, check_provided, with_squads
+
+    if found := list(_nested(fleet, source)):
+        raise Rejected(found)
+    inner, levels = [], []
+    for squad in fleet.squads:
+        assert squad.inner is not None
+        checked = check_system(str(Path(source.path).parent / squad.inner.file), f"the fleet of {squad.name}")
+        parts = zip(checked.fleet.applications, checked.parts, checked.system.applications, strict=True)
+        programs = tuple([ApplicationProgram(settings, part.source, a.program) for settings, part, a in parts])
+        inner.append(checked)
+        levels.append(InnerLevel(squad, checked.source, checked.fleet, programs))
+    found = list(check_fleets(fleet, source, levels))
+    if program is not None:
+        found += check_provided(program[1], program[0], source, levels)
+    if found:
+        raise Rejected(found)
+    return with_squads(fleet, levels), tuple(inner)
+
+
+def _nested(fleet: Fleet, source: Source) -> Iterator[tuple[Source, Diagnostic]]:
+    """Yield an error for each inner fleet that has squads itself. Such a fleet may contain itself."""
+    from pathlib import Path
+
+    from koordgen.fleet.squads import nesting
+
+    def read(path: str) -> Source | None:
+        try:
+            return read_source(path)
+        except Rejected:
+            return None
+
+    for squad in fleet.squads:
+        assert squad.inner is not None
+        chain = nesting(str(Path(source.path).parent / squad.inner.file), read, source.path)
+        if chain[-1] in chain[:-1]:
+            message = f"the fleet of {squad.name} contains itself: {' -> '.join(chain)}"
+            yield _of_squad(source, squad, message, "name a fleet that does not contain this one")
+        elif len(chain) > 2:
+            message = f"the fleet of {squad.name} has a robot that is a fleet itself, {chain[2]}"
+            help = f"list the robots of {chain[2]} in {squad.inner.file}: fleets within inner fleets are not supported"
+            yield _of_squad(source, squad, message, help)
 
 
 def _read_fleet(
@@ -284,6 +408,10 @@ def _read_fleet(
     read = fleet.read(source, targets, params, report, known)
     if read is None:
         raise Rejected(found)
+    if read.applications and read.squads:
+        message = "a fleet with `applications` cannot have a robot that is a fleet itself"
+        help = "give the robot a target, or remove `applications` and name a single program on the command line"
+        raise Rejected([_of_squad(source, squad, message, help) for squad in read.squads])
     return read
 
 
@@ -294,15 +422,16 @@ def _folders(*paths: str) -> list[Path]:
     return list(dict.fromkeys(Path(path).parent for path in paths))
 
 
-def check_system(fleet_path: str) -> CheckedSystem:
+def check_system(fleet_path: str, what: str = "the fleet file") -> CheckedSystem:
     """Check the programs of a fleet file's `applications`, and whether they fit together.
 
-    Raises Rejected, ManifestError.
+    `what`: the fleet file's name in a message. Raises Rejected, ManifestError.
     """
     from pathlib import Path
 
     from koordgen.build.bundle.ports import check_ports
     from koordgen.build.composition import ApplicationProgram, compose
+    from koordgen.build.name_checks import name_checks
     from koordgen.fleet import manifest
     from koordgen.fleet.applications import named_programs
 
@@ -320,10 +449,10 @@ def check_system(fleet_path: str) -> CheckedSystem:
         raise Rejected(found)
     targets = {name: manifest.load(name) for name in manifest.available()}
     by_name = {name: checked[program].program for name, program in named.items()}
-    known = _known(by_name, _folders(fleet_path, *(str(folder / p) for p in checked)))
+    known = name_checks(by_name, _folders(fleet_path, *(str(folder / p) for p in checked)))
     fleet = _read_fleet(source, targets, None, known)
     if not fleet.applications:
-        message = "the fleet file names no program"
+        message = f"{what} names no program"
         help = "list programs under `applications:`, or name a program on the command line and this file with --fleet"
         raise Rejected([(source, Diagnostic("F003", "error", message, Span(1, 1, 1, 2), help=help))])
     parts = [ApplicationProgram(a, checked[a.program].source, checked[a.program].program) for a in fleet.applications]
@@ -344,25 +473,41 @@ def plan_fleet_file(
 
     `wanted`: names of existing targets; None: those of the fleet's robots. Raises Rejected, ManifestError.
     """
+    from koordgen.build.bundle.plan_system import NamesClash, plan_system
+    from koordgen.fleet import manifest
+
+    checked = check_system(fleet_path)
+    needed = {r.target for r in checked.fleet.robots}.union(wanted or ())
+    notes, these = _system_ingredients(checked, tuple(manifest.load(name) for name in sorted(needed)))
+    try:
+        return notes, plan_system(these, wanted or needed)
+    except NamesClash as clash:
+        span = checked.fleet.applications[0].spans[""]
+        raise Rejected([(checked.source, Diagnostic("F005", "error", str(clash), span))]) from None
+
+
+def _system_ingredients(
+    checked: CheckedSystem, used: tuple[Target, ...], outer: tuple[Source, System] | None = None
+) -> tuple[list[tuple[Source, Diagnostic]], SystemIngredients]:
+    """Read the files of a fleet with `applications`. Return warnings and notes, too.
+
+    `used`: the targets to build for. `outer`: for the fleet of a squad, the outer fleet file, and the system with the
+    application of the outer program. Raises Rejected, ManifestError.
+    """
     from pathlib import Path
 
-    from koordgen.build.bundle.plan_system import (
-        ApplicationFiles,
-        NamesClash,
-        plan_system,
-        read_system_ingredients,
-        slow_calls,
-    )
+    from koordgen.build.bundle.plan_system import ApplicationFiles, read_system_ingredients, slow_calls
     from koordgen.build.emit.system import with_sizes
     from koordgen.fleet import manifest
     from koordgen.lang import resources
 
-    checked = check_system(fleet_path)
-    fleet, system = checked.fleet, with_sizes(checked.system)
+    fleet, system, fleet_path = checked.fleet, with_sizes(checked.system), checked.source.path
     targets = {name: manifest.load(name) for name in manifest.available()}
-    needed = {r.target for r in fleet.robots}.union(wanted or ())
-    used = tuple(targets[name] for name in sorted(needed))
-    notes = _check_system_sending(checked, system)
+    sources = [part.source for part in checked.parts]
+    if outer is None:
+        notes = _check_system_sending(fleet, sources, system)
+    else:
+        notes = _check_system_sending(fleet, [*sources, outer[0]], with_sizes(outer[1]))
     found = [(source, d) for source, d in notes if d.severity == "error"]
     parts = []
     for part, settings, application in zip(checked.parts, fleet.applications, system.applications, strict=True):
@@ -379,24 +524,18 @@ def plan_fleet_file(
         raise Rejected(found)
     shares = {a.name: a.share for a in fleet.applications if a.share is not None}
     these = read_system_ingredients(system, tuple(parts), used, fleet, resources.package(), shares)
-    try:
-        bundles = plan_system(these, wanted or needed)
-    except NamesClash as clash:
-        span = fleet.applications[0].spans[""]
-        raise Rejected([(checked.source, Diagnostic("F005", "error", str(clash), span))]) from None
     notes += [(checked.parts[index].source, d) for index, d in slow_calls(these)]
     once = {part.source.path: part for part in checked.parts}
-    return [*((part.source, d) for part in once.values() for d in part.diagnostics), *notes], bundles
+    return [*((part.source, d) for part in once.values() for d in part.diagnostics), *notes], these
 
 
-def _check_system_sending(checked: CheckedSystem, system: System) -> list[tuple[Source, Diagnostic]]:
-    """Check sizes of messages of all applications; see _check_sending."""
+def _check_system_sending(fleet: Fleet, sources: list[Source], system: System) -> list[tuple[Source, Diagnostic]]:
+    """Check sizes of messages of all applications; see _check_sending. `sources`: of the applications' programs."""
     from koordgen.build.bundle.system_budget import check_system_budget, check_system_link
 
-    fleet = checked.fleet
     names, to_all = [robot.name for robot in fleet.robots], fleet.network["transport"] in ("broadcast", "multicast")
     found = check_system_budget(system, names) or check_system_link(system, names, fleet.delta, fleet.link, to_all)
-    return [(checked.parts[index].source, d) for index, d in found]
+    return [(sources[index], d) for index, d in found]
 
 
 def _own_drivers(application: Application, fleet: Fleet) -> dict[str, DriverClass]:
@@ -413,80 +552,13 @@ def fleet_name(fleet_path: str) -> str:
     return path.parent.name or path.stem if path.stem == "fleet" else path.stem
 
 
-def fleet_params(path: str | None, checked: Checked, program_path: str) -> dict[str, Value]:
-    """Return the params of a fleet file; empty if `path` is None. Raises Rejected, ManifestError."""
+def fleet_params(path: str | None, checked: Checked, program_path: str, squads: bool = False) -> dict[str, Value]:
+    """Return the params of a fleet file; empty if `path` is None. Raises Rejected, ManifestError.
+
+    `squads`: see read_fleet."""
     if path is None:
         return {}
     from koordgen.fleet import manifest
 
     targets = {name: manifest.load(name) for name in manifest.available()}
-    return read_fleet(path, targets, checked.program, program_path)[1]
-
-
-def _known(programs: Mapping[str, Program], folders: Sequence[Path]) -> NameChecks:
-    """Return the functions that check the names in a fleet file.
-
-    `programs`: the fleet's only program under the name "", or the program of each application. Names of variables and
-    properties of an application begin with the application's name and a dot. `folders`: where the user's classes are
-    searched.
-    """
-    from functools import cache
-
-    from koordgen.build.bundle.drivers import own_class
-    from koordgen.fleet.settings import DriverClass, NameChecks
-
-    shared = {_named(prefix, s.name): s for prefix, program in programs.items() for s in own_shared(program)}
-
-    def unpublished(name: str) -> str:
-        known = [n for n, s in shared.items() if s.kind == "allread" and s.type in (POINT, list_of(POINT))]
-        if name in known:
-            return ""
-        possible = f"; possible values: {', '.join(known)}" if known else ""
-        return f"avoid is {name!r}: there is no allread variable {name} of type Point or List<Point>{possible}"
-
-    def unmarked(name: str, position: str) -> str:
-        found = shared[name].type if name in shared else None
-        element = found.element if isinstance(found, SequenceType) else None
-        places = [field for field, type_ in element.fields if type_ == POINT] if isinstance(element, RecordType) else []
-        if position in places or (element == POINT and not position):
-            return ""
-        field = f"whose elements have a Point {position!r}" if position else "of Points"
-        possible = f"; possible positions: {', '.join(places)}" if places else ""
-        return f"marker_list.variable is {name!r}: there is no shared list {name} {field}{possible}"
-
-    @cache  # inspect a class once: most robots name the same class, and an inspection starts a process
-    def unfit(module: str, name: str, methods: tuple[str, ...]) -> str:
-        driver, folders_ = DriverClass(module, name), list(folders)
-        return next(filter(None, (own_class(driver, methods, p, folders_) for p in programs.values())), "")
-
-    own = tuple(_named(prefix, name) for prefix, program in programs.items() for name in _properties(program))
-    return NameChecks(unpublished, unmarked, lambda d, methods: unfit(d.module, d.name, methods), own)
-
-
-def _named(prefix: str, name: str) -> str:
-    return f"{prefix}.{name}" if prefix else name
-
-
-def _properties(program: Program) -> list[str]:
-    """Return the names of a program's properties as `monitors` in a fleet file names them."""
-    own = [p.name for p in program.properties if p.kind == "invariant" and p.name]
-    own += [g.name for export in program.exports for g in export.guarantees if not is_step(g)]
-    own += [f"assume {module.name}" for module in program.modules if module.assumptions]
-    own += [f"requires {f.name}" for f in program.externs if f.requires]
-    own += [f"ensures {f.name}" for f in program.externs if f.ensures]
-    if any(isinstance(node, LoopInvariant) for node in walk((program.init, program.events, program.functions))):
-        own.append("loop invariants")
-    return own
-
-
-def _fits(program: Program, name: str) -> Callable[[Value], str]:
-    from koordgen.lang.analyze.params import BadParam, with_params
-
-    def misfit(value: Value) -> str:
-        try:
-            with_params(program, {name: value})
-        except BadParam as bad:
-            return str(bad)
-        return ""
-
-    return misfit
+    return read_fleet(path, targets, checked.program, program_path, squads)[1]

@@ -112,6 +112,9 @@ def _check(options: Namespace) -> int:
     from koordgen.build.pipeline import check_part, check_system
     from koordgen.cli.base.values import is_fleet
 
+    if options.fleet is not None:
+        planned(options, None, squads=True)
+        return HOLDS
     parts = check_system(options.program).parts if is_fleet(options.program) else (check_part(options.program),)
     once = {part.source.path: part for part in parts}
     print_diagnostics([(part.source, d) for part in once.values() for d in part.diagnostics], options)
@@ -134,7 +137,7 @@ def _build(options: Namespace) -> int:
         help = f"name a fleet file with --fleet, or targets with --target; possible targets: {available_targets()}"
         raise Failure(USAGE, "neither --fleet nor --target is given", help)
     targets = None if options.target is None else target_names(options.target)
-    bundles, app = planned(options, targets)
+    bundles, app = planned(options, targets, squads=True)
     if targets is not None and (missing := left_out(bundles, targets)):
         notify(
             f"note: --target {options.target} leaves out {', '.join(missing)}; without --target all robots are built"

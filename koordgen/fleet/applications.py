@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from koordgen.fleet.yaml_reader import YamlNode, YamlReader
+from koordgen.fleet.yaml_reader import YamlNode, YamlReader, value_of
 from koordgen.lang.node import Node
 from koordgen.lang.source import Source, Span
 
@@ -45,19 +45,13 @@ def named_programs(source: Source) -> dict[str, str]:
 
     Wrong entries are left out: `read_applications` reports them.
     """
-    entries = _value(YamlReader(source, lambda *mistake: None).document(), "applications")
+    entries = value_of(YamlReader(source, lambda *mistake: None).document(), "applications")
     found = {}
     for entry in entries.value if isinstance(entries, yaml.SequenceNode) else []:
-        name, program = _value(entry, "name"), _value(entry, "program")
+        name, program = value_of(entry, "name"), value_of(entry, "program")
         if isinstance(name, yaml.ScalarNode) and isinstance(program, yaml.ScalarNode):
             found[name.value] = program.value
     return found
-
-
-def _value(node: YamlNode | None, key: str) -> YamlNode | None:
-    if not isinstance(node, yaml.MappingNode):
-        return None
-    return next((value for name, value in node.value if name.value == key), None)
 
 
 def read_applications(
@@ -75,7 +69,7 @@ def read_applications(
     for index, (application, entry) in enumerate(zip(found, entries, strict=True)):
         if application.name and seen.setdefault(application.name, index) != index:
             message = f"application {seen[application.name]} is called {application.name} as well"
-            reader.report("F006", message, _value(entry, "name") or entry, "give it another name")
+            reader.report("F006", message, value_of(entry, "name") or entry, "give it another name")
     if node is not None and found:
         _check_robots(reader, node, found, entries, robots)
         _check_instances(reader, found, entries)
@@ -172,4 +166,4 @@ def _check_robots(
         last = max(index for index in here if found[index].share is not None)
         message = f"the shares on {robot}, those of {names}, add up to {total:g}"
         message += "; at most 1 is possible" if excess else ", which leaves nothing for an application without `share`"
-        reader.report("F005", message, _value(entries[last], "share") or node, "write smaller shares")
+        reader.report("F005", message, value_of(entries[last], "share") or node, "write smaller shares")

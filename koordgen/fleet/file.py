@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -14,7 +15,7 @@ from koordgen.fleet.manifest import Target
 from koordgen.fleet.medium import Medium, read_link, read_network
 from koordgen.fleet.mocap import Mocap, read_mocap
 from koordgen.fleet.obstacles import Obstacle, read_box, read_obstacles
-from koordgen.fleet.robots import FleetRobot, read_robots
+from koordgen.fleet.robots import FleetRobot, actions_of, read_robots
 from koordgen.fleet.settings import DriverClass, NameChecks, ValueCheck, as_driver, read_settings
 from koordgen.fleet.starts import check_starts
 from koordgen.fleet.world import FleetWorld, read_world
@@ -42,6 +43,7 @@ class Fleet(Node):
 
     params: numbers, bools, texts, lists and tables, by the param's name. drivers: by module. harness: settings of
     harnesses, by the target's name. applications: empty if the command line names the only program of the fleet.
+    inner_fleets: the fleet of each squad, by the squad's name; empty before the inner fleet files are read.
     """
 
     application_id: int
@@ -65,6 +67,12 @@ class Fleet(Node):
     mocap: Mocap
     deployment: DeploymentSettings
     applications: tuple[ApplicationSettings, ...] = ()
+    inner_fleets: Mapping[str, Fleet] = MappingProxyType({})
+
+    @property
+    def squads(self) -> tuple[FleetRobot, ...]:
+        """Robots that are fleets themselves."""
+        return tuple([robot for robot in self.robots if robot.inner is not None])
 
 
 def read(
@@ -224,7 +232,7 @@ def _monitors(
         # In YAML 1.1 an unquoted `off` is the bool false.
         bare = isinstance(value, yaml.ScalarNode) and value.value == "off"
         action = "off" if bare else reader.choice(value, f"monitors: {name}", MONITOR_ACTIONS)
-        unable = [r.name for r in robots if action not in ("off", "log", *targets[r.target].actions)]
+        unable = [r.name for r in robots if action not in ("off", "log", *actions_of(r, targets))]
         if action is not None and unable:
             message = f"monitors: {name} is {action!r}, which these robots cannot do: {', '.join(unable)}"
             reader.report("F005", message, value, "use `stop`: each robot stops in its own way, and a quad lands")
@@ -237,7 +245,7 @@ def own_classes(fleet: Fleet, targets: Mapping[str, Target]) -> dict[str, Driver
     """Return the user's own classes that settings of robots name, by the path of their file."""
     found: dict[str, DriverClass] = {}
     for robot in fleet.robots:
-        for key, setting in targets[robot.target].settings.items():
+        for key, setting in targets[robot.target].settings.items() if robot.inner is None else ():
             driver = as_driver(str(robot.settings[key])) if setting.methods else None
             if driver is not None:
                 found[driver.path] = driver

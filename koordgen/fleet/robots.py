@@ -6,19 +6,25 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from koordgen.fleet.address import control_port, read_address
 from koordgen.fleet.deployment import Login, read_login
-from koordgen.fleet.manifest import Target
+from koordgen.fleet.manifest import ACTIONS, Target
 from koordgen.fleet.settings import NameChecks, read_given, read_settings
+from koordgen.fleet.squads import SquadEntry, is_squad, read_squad
 from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.ir.types import MOST_ROBOTS
 from koordgen.lang.node import Node
 
 _NAME = re.compile(r"[a-z][a-z0-9_-]{0,31}")
-_ADDRESS = re.compile(r"([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\]):(\d{1,5})")
+_OPTIONAL = ("control", "host", "start", "settings")
 
 
 class FleetRobot(Node):
-    """One robot. `start`: `position` (m, ENU) and `yaw` (rad) at which the simulator places it."""
+    """One robot. `start`: `position` (m, ENU) and `yaw` (rad) at which the simulator places it.
+
+    A robot with `inner` is a squad, a fleet as one robot: it has no target, start, settings and login. Its host and
+    port are those of its first inner robot for this fleet; "" and 0 before the inner fleet file is read.
+    """
 
     name: str
     pid: int
@@ -30,6 +36,7 @@ class FleetRobot(Node):
     settings: dict[str, Any]
     harness: dict[str, dict[str, Any]]  # settings of this robot in each harness, without defaults
     login: Login | None  # `host` of the fleet file: the computer on which its agent runs
+    inner: SquadEntry | None = None
 
 
 class Roster(Node):
@@ -39,19 +46,6 @@ class Roster(Node):
     starts: tuple[YamlNode | None, ...] = ()
 
 
-def parse_address(text: str) -> tuple[str, int]:
-    """Parse HOST:PORT into host and port; ("", 0) for another text."""
-    found = _ADDRESS.fullmatch(text)
-    if not found or not 1 <= int(found[2]) <= 65535:
-        return "", 0
-    return found[1].strip("[]"), int(found[2])
-
-
-def control_port(port: int) -> int:
-    """Return the default port for emergency stop and status; equal to that of runtime/config/settings.py (tested)."""
-    return port + 1000 if port + 1000 <= 65535 else port - 1000
-
-
 def read_robots(reader: YamlReader, node: YamlNode | None, targets: Mapping[str, Target], known: NameChecks) -> Roster:
     """Read the fleet file's `robots`. Names, addresses and control ports must be unique."""
     entries = reader.items(node, "robots")
@@ -59,36 +53,79 @@ def read_robots(reader: YamlReader, node: YamlNode | None, targets: Mapping[str,
         reader.report("F005", f"robots has {len(entries)} entries; a fleet has 1 to {MOST_ROBOTS} robots", node)
     robots: list[FleetRobot] = []
     starts: list[YamlNode | None] = []
-    harnesses = {name: target for name, target in targets.items() if target.kind == "harness"}
-    optional = ["control", "host", "start", "settings", *sorted(harnesses)]
     seen: dict[object, str] = {}
     for pid, entry in enumerate(entries):
-        what = f"robot {pid}"
-        keys = reader.table(entry, what, ["name", "target", "address"], optional)
-        name = _name(reader, keys.get("name"), targets)
-        host, port = _address(reader, keys.get("address"))
-        control = reader.number(keys.get("control"), "control", 1, 65535, int) or control_port(port)
-        taken: list[tuple[str, object, str | None]] = [("name", name, name)]
-        if port:
-            repeated = (host, port) in seen  # then the default control port repeats, too: report the address only
-            taken.append(("address", (host, port), f"{host}:{port}"))
-            taken += [("control", (host, control), f"{host}:{control}")] if not repeated else []
-        for key, value, shown in taken:
-            if value is not None and seen.setdefault(value, f"{what}'s {key}") != f"{what}'s {key}":
-                help = f"give it another {key}"
-                if key not in keys:
-                    help = "write `control: PORT` for another port for emergency stop and status"
-                reader.report("F006", f"{key} {shown} is already {seen[value]}", keys.get(key, entry), help)
-        target = _target(reader, keys.get("target"), targets)
-        settings = {}
-        if target:
-            settings = read_settings(reader, keys.get("settings"), f"{what}'s settings", target.settings, known)
-        start = _start(reader, keys.get("start"), what)
-        own = {n: _in_harness(reader, keys[n], f"{what}'s {n}", t, known) for n, t in harnesses.items() if n in keys}
-        login, kind = read_login(reader, keys.get("host")), target.name if target else ""
-        robots.append(FleetRobot(name or "", pid, kind, host, port, control, start, settings, own, login))
+        robot, keys = (
+            _squad(reader, entry, pid, targets) if is_squad(entry) else _robot(reader, entry, pid, targets, known)
+        )
+        robots.append(robot)
         starts.append(keys.get("start"))
+        _check_unique(reader, entry, robot, keys, seen)
     return Roster(tuple(robots), tuple(starts))
+
+
+def _robot(
+    reader: YamlReader, entry: YamlNode, pid: int, targets: Mapping[str, Target], known: NameChecks
+) -> tuple[FleetRobot, dict[str, YamlNode]]:
+    """Read a robot with a target. Return its keys, too."""
+    what, harnesses = f"robot {pid}", _harnesses(targets)
+    keys = reader.table(entry, what, ["name", "target", "address"], [*_OPTIONAL, *harnesses])
+    name = _name(reader, keys.get("name"), targets)
+    host, port = read_address(reader, keys.get("address"), "address")
+    control = reader.number(keys.get("control"), "control", 1, 65535, int) or control_port(port)
+    target = _target(reader, keys.get("target"), targets)
+    settings = {}
+    if target:
+        settings = read_settings(reader, keys.get("settings"), f"{what}'s settings", target.settings, known)
+    start = _start(reader, keys.get("start"), what)
+    own = {n: _in_harness(reader, keys[n], f"{what}'s {n}", t, known) for n, t in harnesses.items() if n in keys}
+    login, kind = read_login(reader, keys.get("host")), target.name if target else ""
+    return FleetRobot(name or "", pid, kind, host, port, control, start, settings, own, login), keys
+
+
+def _squad(
+    reader: YamlReader, entry: YamlNode, pid: int, targets: Mapping[str, Target]
+) -> tuple[FleetRobot, dict[str, YamlNode]]:
+    """Read a robot that is a fleet. Return its keys, too."""
+    refused = ("target", "address", *_OPTIONAL, *_harnesses(targets))
+    inner, keys = read_squad(reader, entry, f"robot {pid}", refused)
+    name = _name(reader, keys.get("name"), targets)
+    host, port = inner.addresses[0] if inner.addresses else ("", 0)
+    return FleetRobot(
+        name or "", pid, "", host, port, control_port(port), _start(reader, None, ""), {}, {}, None, inner
+    ), keys
+
+
+def _harnesses(targets: Mapping[str, Target]) -> dict[str, Target]:
+    return {name: target for name, target in sorted(targets.items()) if target.kind == "harness"}
+
+
+def _check_unique(
+    reader: YamlReader, entry: YamlNode, robot: FleetRobot, keys: Mapping[str, YamlNode], seen: dict[object, str]
+) -> None:
+    """Report a name, address or control port that an earlier robot has. `seen`: those of all earlier robots.
+
+    Addresses of squads are compared later, when their fleet files are read.
+    """
+    what, address = f"robot {robot.pid}", (robot.host, robot.port)
+    taken: list[tuple[str, object, str]] = [("name", robot.name, robot.name)] if robot.name else []
+    if robot.port and robot.inner is None:
+        shown = f"{robot.host}:{robot.port}"
+        repeated = address in seen  # then the default control port repeats, too: report the address only
+        taken.append(("address", address, shown))
+        control = (robot.host, robot.control)
+        taken += [("control", control, f"{robot.host}:{robot.control}")] if not repeated else []
+    for key, value, shown in taken:
+        if seen.setdefault(value, f"{what}'s {key}") != f"{what}'s {key}":
+            help = f"give it another {key}"
+            if key not in keys:
+                help = "write `control: PORT` for another port for emergency stop and status"
+            reader.report("F006", f"{key} {shown} is already {seen[value]}", keys.get(key, entry), help)
+
+
+def actions_of(robot: FleetRobot, targets: Mapping[str, Target]) -> tuple[str, ...]:
+    """Return what a robot can do when a property is violated."""
+    return targets[robot.target].actions if robot.inner is None else ACTIONS
 
 
 def _in_harness(reader: YamlReader, node: YamlNode, what: str, harness: Target, known: NameChecks) -> dict[str, Any]:
@@ -116,21 +153,6 @@ def _name(reader: YamlReader, node: YamlNode | None, targets: Mapping[str, Targe
         )  # fmt: skip
         return None
     return name
-
-
-def _address(reader: YamlReader, node: YamlNode | None) -> tuple[str, int]:
-    text: str | None = reader.scalar(node, "address", str)
-    if text is None or node is None:
-        return "", 0
-    host, port = parse_address(text)
-    if not port:
-        reader.report("F005", f"address {text!r} is not HOST:PORT", node, "for example 192.168.1.20:47100")
-        return "", 0
-    if host in ("0.0.0.0", "::"):
-        help = "write the address at which the other robots reach this one"
-        reader.report("F005", f"other robots cannot send to {host}", node, help)
-        return "", 0
-    return host, port
 
 
 def _target(reader: YamlReader, node: YamlNode | None, targets: Mapping[str, Target]) -> Target | None:

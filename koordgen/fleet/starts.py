@@ -39,16 +39,17 @@ def check_starts(
 ) -> None:
     """Check the starts of all robots, if the file has a start for at least one of them.
 
-    Robots without a start are at the origin.
+    Robots without a start are at the origin. Squads are left out: their robots start as their own fleet files say.
     """
     if not any(roster.starts):
         return
     bodies: list[Shape] = []
     solids = list(_solids(world, obstacles))
-    for robot, node in zip(roster.robots, roster.starts, strict=True):
+    robots = [(robot, node) for robot, node in zip(roster.robots, roster.starts, strict=True) if robot.inner is None]
+    for robot, node in robots:
         body = _body(robot, targets[robot.target])
         wrong = _wrong(robot, body, geofence, world, solids)
-        for other, taken in zip(roster.robots, bodies, strict=False):
+        for (other, _), taken in zip(robots, bodies, strict=False):
             if not wrong and _touch(body, taken):
                 wrong = f"in contact with {other.name}"
         bodies.append(body)

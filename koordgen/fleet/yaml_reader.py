@@ -205,6 +205,13 @@ class YamlReader:
         return value
 
 
+def value_of(node: YamlNode | None, key: str) -> YamlNode | None:
+    """Return the value of a key in a node that need not be a mapping; None if there is none."""
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    return next((value for name, value in node.value if name.value == key), None)
+
+
 def _constructed(node: YamlNode) -> Any:
     """Return the value of a scalar; None for other nodes, for too long numbers and for numbers to the base of 60.
 

@@ -92,6 +92,7 @@ CATALOGUE: dict[str, str] = {
     "B011": "a program with imports or guarantees does not run alone",
     "B012": "an import does not fit what the other application exports",
     "B013": "two applications use one robot in ways that do not fit",
+    "B014": "a fleet does not provide what the program uses of it as one robot",
 }
 
 

@@ -15,10 +15,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from koordgen.fleet.address import parse_address
 from koordgen.fleet.file import Fleet
 from koordgen.fleet.manifest import Target, available, load
 from koordgen.fleet.mocap import Mocap, Quaternion, Vector
-from koordgen.fleet.robots import parse_address
 from koordgen.lang.node import Node
 from koordgen.runtime.net.seal import BadKey, load_key
 from koordgen.runtime.ops.host import pip_install

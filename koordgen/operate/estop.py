@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from koordgen.fleet.robots import control_port, parse_address
+from koordgen.fleet.address import control_port, parse_address
 from koordgen.lang.node import Node
 from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
 from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, StopAnswer, StopOrder, decode, encode

@@ -90,7 +90,7 @@ class Expressions(General):
             return call("count", INT, xs, self.leaf(element))
 
         def found(n: int) -> e.Expr:
-            n = 0 if self.place in ("property", "assume") else n  # names of quantifiers stand once
+            n = 0 if self.place in ("property", "assume", "provided") else n  # names of quantifiers stand once
             xs = e.Make((self.expr(INT, n), self.expr(INT, n)), list_of(INT), AT)
             item = self.leaf(INT) if self.wild(0.2) else self.rng.choice(xs.items)
             return call("index", INT, xs, item)

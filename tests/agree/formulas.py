@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from random import Random
 from typing import Literal
 
 from koordgen.lang.ir import decl as d
 from koordgen.lang.ir import expr as e
+from koordgen.lang.ir.ports import NO_MEANING
 from koordgen.lang.ir.tree import walk
-from koordgen.lang.ir.types import BOOL, INT, PLANNER, POINT, PerRobot, Type, list_of
+from koordgen.lang.ir.types import BOOL, FLOAT, INT, PLANNER, POINT, PerRobot, Type, list_of
 from koordgen.lang.node import replace
 from tests.agree.expressions import Expressions
 from tests.agree.general import PATH, Maker, Temp, compare
@@ -18,7 +20,10 @@ from tests.agree.programs import MODULE, N_SYS, random_program
 
 
 class Formulas(Expressions):
-    """Generator for formulas. Place "property": over the fleet. Place "assume": over one robot's ports."""
+    """Generator for formulas.
+
+    Place "property": over the fleet. Place "assume": over one robot's ports. Place "provided": over shared variables.
+    """
 
     count = 0
 
@@ -38,8 +43,9 @@ class Formulas(Expressions):
         if self.place == "assume":
             found += [e.PortRead(*port, primed, type_, AT) for port in ports for primed in (False, True)]
             return [*found, e.Pid(INT, AT)] if type_ == INT else found
-        found += [e.PortOf(*port, self.robot(), type_, AT) for port in ports]
-        found += [e.LocalOf(v.name, self.robot(), type_, AT) for v in p.locals if v.type == type_]
+        if self.place == "property":
+            found += [e.PortOf(*port, self.robot(), type_, AT) for port in ports]
+            found += [e.LocalOf(v.name, self.robot(), type_, AT) for v in p.locals if v.type == type_]
         for v in p.shared:
             if v.type == type_ and v.kind == "allread":
                 found.append(e.SlotRead(v.name, self.robot(), False, type_, AT))
@@ -88,6 +94,18 @@ class Formulas(Expressions):
         """Return a planner's answer: for any goal, or for one goal."""
         goal: e.Expr = e.TempRead(self.rng.choice(("goal", "other")), POINT, AT)
         return e.PortCall(MODULE, "planner", (goal if self.rng.random() < 0.7 else self.expr(POINT, n),), PATH, AT)
+
+
+def with_provided(seed: int) -> d.Program:
+    """Return a random program that provides a module with a random value for each of its sensors."""
+    rng = Random(-seed)
+    program = random_program(seed)
+    types = [BOOL, INT, FLOAT, POINT, *(v.type for v in program.shared)]
+    makers = Formulas(rng, program, "provided")
+    values = [_drawn(partial(makers.expr, type_, 4)) for type_ in types]
+    values += [_drawn(partial(makers.quantified, 4)) for _ in range(3)]
+    ports = [d.Provided(d.Port(f"p{k}", value.type, "sensor", NO_MEANING, AT), value) for k, value in enumerate(values)]
+    return replace(program, provides=(d.Provides("Outside", tuple(ports), AT),))
 
 
 def _drawn(make: Callable[[], e.Expr]) -> e.Expr:

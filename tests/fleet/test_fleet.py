@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest, medium
-from koordgen.fleet.robots import control_port
+from koordgen.fleet.address import control_port
 from koordgen.fleet.settings import ValueCheck
 from koordgen.lang.source import Source, Span
 from koordgen.runtime.config.settings import Network, Safety, Settings

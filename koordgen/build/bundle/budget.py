@@ -131,6 +131,7 @@ class Traffic(Node):
     """
 
     robots: int
+    addresses: int  # addresses of all robots: a squad has one for each of its robots, another robot has one
     receivers: int  # receivers of a robot's datagrams; 1 if one datagram reaches all robots
     writes: int
     datagrams: int
@@ -141,20 +142,21 @@ class Traffic(Node):
     @property
     def bytes(self) -> int:
         """Bytes that the whole fleet sends in one round, with retransmissions of lost datagrams."""
-        once = self.robots * self.receivers * (self.entry + self.acknowledgement)
+        once = self.addresses * self.receivers * (self.entry + self.acknowledgement)
         return ceil(once / (1 - self.loss))
 
 
-def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool) -> Traffic:
+def traffic(shared: tuple[Shared, ...], robots: int, link: Medium, to_all: bool, addresses: int = 0) -> Traffic:
     """Return the traffic of a round in which each robot writes these variables.
 
-    `to_all`: one datagram reaches all other robots (broadcast, multicast).
+    `to_all`: one datagram reaches all other robots (broadcast, multicast). `addresses`: of all robots, if there are
+    squads; 0: each robot has one.
     """
-    return traffic_of(_entry(shared), robots, link, to_all)
+    return traffic_of(_entry(shared), robots, link, to_all, addresses)
 
 
-def traffic_of(writes: int, robots: int, link: Medium, to_all: bool) -> Traffic:
-    """Return the traffic of a round in which each robot's log entry has `writes` bytes. `to_all`: see `traffic`."""
+def traffic_of(writes: int, robots: int, link: Medium, to_all: bool, addresses: int = 0) -> Traffic:
+    """Return the traffic of a round in which each robot's log entry has `writes` bytes. Others: see `traffic`."""
     head = overhead(robots)
     room = DATAGRAM - head
     alone = on_the_medium(head, link.mtu)
@@ -164,7 +166,7 @@ def traffic_of(writes: int, robots: int, link: Medium, to_all: bool) -> Traffic:
         full, rest = divmod(writes, room)
         datagrams = full + bool(rest) + 1
         entry = alone + full * on_the_medium(DATAGRAM, link.mtu) + bool(rest) * on_the_medium(head + rest, link.mtu)
-    return Traffic(robots, 1 if to_all else robots - 1, writes, datagrams, entry, alone, link.loss)
+    return Traffic(robots, addresses or robots, 1 if to_all else robots - 1, writes, datagrams, entry, alone, link.loss)
 
 
 def round_bytes(program: Program, robots: int, link: Medium, to_all: bool = False) -> int:
@@ -173,17 +175,17 @@ def round_bytes(program: Program, robots: int, link: Medium, to_all: bool = Fals
 
 
 def check_link(
-    program: Program, robots: int, delta: float, link: Medium | None, to_all: bool = False
+    program: Program, robots: int, delta: float, link: Medium | None, to_all: bool = False, addresses: int = 0
 ) -> list[Diagnostic]:
     """Check the traffic of one round against the `link` of the fleet file; None if the fleet file has none.
 
     B008 (error): a round of `delta` seconds is too short for the traffic. B009 (warning): the writes of one event need
-    several datagrams.
+    several datagrams. `to_all`, `addresses`: see `traffic`.
     """
     if link is None or robots < 2 or not program.events:
         return []
     shared = longest_event(program)
-    found = traffic(shared, robots, link, to_all)
+    found = traffic(shared, robots, link, to_all, addresses)
     largest = max(shared, key=lambda v: most_bytes(v.type), default=None)
     span = largest.span if largest else program.events[0].span
     diagnostics = []
@@ -210,10 +212,12 @@ def on_the_medium(datagram: int, mtu: int) -> int:
 
 
 def _arithmetic(found: Traffic) -> str:
-    each = f" x {found.receivers} receivers" if found.receivers > 1 else ""
+    each = f"{found.robots} robots" + (f" x {found.receivers} receivers" if found.receivers > 1 else "")
+    if found.addresses != found.robots:  # each address receives from all robots but one
+        each = f"{found.addresses} addresses of {found.robots} robots x {found.receivers} senders"
     datagrams = f"{found.datagrams} datagrams" if found.datagrams > 1 else "one datagram"
     return (
-        f"a round may send {found.bytes} bytes: {found.robots} robots{each} x ({found.entry} for {found.writes} of "
+        f"a round may send {found.bytes} bytes: {each} x ({found.entry} for {found.writes} of "
         f"writes in {datagrams} + {found.acknowledgement} for the acknowledgement) / (1 - {found.loss:g} loss)"
     )
 
@@ -228,7 +232,8 @@ def _link_help(found: Traffic, shared: tuple[Shared, ...], delta: float, link: M
         to_all = found.receivers == 1
 
         def enough(variable: Shared) -> bool:
-            return traffic(_with(shared, variable), found.robots, link, to_all).bytes * 8 <= link.rate * delta
+            made = traffic(_with(shared, variable), found.robots, link, to_all, found.addresses)
+            return made.bytes * 8 <= link.rate * delta
 
         fits = _capacity(largest, enough)
         ways += [fits] if fits else []

@@ -55,15 +55,15 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     With a fleet: one bundle for each robot, one for each harness in `wanted`, and `fleet`. Without a fleet: one bundle
     for each target.
     """
-    text = program_text(these.program, _functions(these)).encode()
+    text = text_of(these)
     agents = {t.name: t for t in these.targets if t.kind == "agent"}
     harnesses = [t for t in these.targets if t.kind == "harness" and t.name in wanted]
     if these.fleet is None:
-        built = {t.name: finished(_agent(these, t, text, None)) for t in agents.values() if t.name in wanted}
+        built = {t.name: finished(agent_bundle(these, t, text, None)) for t in agents.values() if t.name in wanted}
         bundles = dict(built)
     else:
-        parts = {r.name: _agent(these, agents[r.target], text, r) for r in these.fleet.robots}
-        facts: Files = {"fleet.json": as_json(_facts(these.program, these.fleet, _functions(these)))}
+        parts = {r.name: agent_bundle(these, agents[r.target], text, r) for r in these.fleet.robots}
+        facts: Files = {"fleet.json": as_json(program_facts(these, these.fleet))}
         release = {RELEASE: release_of(parts)}
         built = {name: finished(files | release) for name, files in parts.items()}
         bundles = {r.name: built[r.name] for r in these.fleet.robots if r.target in wanted}
@@ -73,7 +73,13 @@ def plan(these: Ingredients, wanted: Iterable[str]) -> dict[str, Files]:
     return bundles
 
 
-def _agent(these: Ingredients, target: Target, text: bytes, robot: FleetRobot | None) -> Files:
+def text_of(these: Ingredients) -> bytes:
+    """Return the generated program."""
+    return program_text(these.program, _functions(these)).encode()
+
+
+def agent_bundle(these: Ingredients, target: Target, text: bytes, robot: FleetRobot | None) -> Files:
+    """Return the files of a robot of a target, without the release. `text`: the generated program."""
     module, _, name = target.entry.partition(":")
     program, fleet = these.program, these.fleet
     values = {
@@ -88,26 +94,37 @@ def _agent(these: Ingredients, target: Target, text: bytes, robot: FleetRobot | 
         "program_hash": program_hash(program, _functions(these)),
         "interface_hash": interface_hash(program),
         "applications": (),
+        "squad": "",
     }
     main = render(
         "main_agent.py", module=module, name=name, drivers=_drivers(these), properties=has_properties(program),
-        applications=(),
+        applications=(), squad="",
     )  # fmt: skip
     files = {
         **these.common,
         **these.target_files[target.name],
-        **these.beside,
+        **program_files(these, text),
         "__main__.py": main.encode(),
-        "program.py": text,
-        **_properties(these),
-        program.path: these.source,
-        PARAMS: as_json(dict(these.params)),
         "requirements.txt": requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
     }
     if robot is not None and fleet is not None:
         files["settings.json"] = as_json(settings(program, fleet, robot))
     return files
+
+
+def program_files(these: Ingredients, text: bytes) -> Files:
+    """Return the files of the program: generated code, the user's own Python files, source and params.
+
+    `text`: the generated program.
+    """
+    return {
+        **these.beside,
+        "program.py": text,
+        **_properties(these),
+        these.program.path: these.source,
+        PARAMS: as_json(dict(these.params)),
+    }
 
 
 def release_of(parts: Mapping[str, Files]) -> bytes:
@@ -213,8 +230,10 @@ def as_json(value: Any) -> bytes:
     return (json.dumps(value, indent=2) + "\n").encode()
 
 
-def _facts(program: Program, fleet: Fleet, functions: bytes = b"") -> dict[str, Any]:
-    return facts_of(program.name, (program_hash(program, functions), interface_hash(program)), fleet)
+def program_facts(these: Ingredients, fleet: Fleet) -> dict[str, Any]:
+    """Return the values that all robots of a fleet with one program have in common."""
+    hashes = program_hash(these.program, _functions(these)), interface_hash(these.program)
+    return facts_of(these.program.name, hashes, fleet)
 
 
 def facts_of(app: str, hashes: tuple[str, str], fleet: Fleet) -> dict[str, Any]:
@@ -228,8 +247,16 @@ def facts_of(app: str, hashes: tuple[str, str], fleet: Fleet) -> dict[str, Any]:
         "origin": fleet.origin,
         "geofence": fleet.geofence,
         "obstacles": fleet.obstacles,
-        "peers": [{"name": r.name, "host": r.host, "port": r.port} for r in fleet.robots],
+        "peers": [_peer(robot) for robot in fleet.robots],
     }
+
+
+def _peer(robot: FleetRobot) -> dict[str, Any]:
+    """Return name and address of a robot, and the further addresses of a squad."""
+    found: dict[str, Any] = {"name": robot.name, "host": robot.host, "port": robot.port}
+    if robot.inner is not None:
+        found["also"] = [{"host": host, "port": port} for host, port in robot.inner.addresses[1:]]
+    return found
 
 
 def settings(program: Program, fleet: Fleet, robot: FleetRobot) -> dict[str, Any]:
@@ -262,8 +289,7 @@ def settings_of(app: str, fleet: Fleet, robot: FleetRobot, budget: float) -> dic
 
 
 def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, Any]:
-    program = these.program
-    facts = _facts(program, fleet, _functions(these))
+    program, facts = these.program, program_facts(these, fleet)
     return scenario_of(facts, program.path, store_facts(program), _drivers(these), fleet, harness, these.targets)
 
 

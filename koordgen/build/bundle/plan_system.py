@@ -98,7 +98,7 @@ def plan_system(these: SystemIngredients, wanted: Iterable[str]) -> dict[str, Fi
         )  # fmt: skip
     these = these_with_sizes(these)
     programs, agents = _programs(these), {t.name: t for t in these.targets if t.kind == "agent"}
-    robots = {r.name: _agent(these, agents[r.target], programs, r) for r in these.fleet.robots}
+    robots = {r.name: _agent(these, agents[r.target], programs, r, "") for r in these.fleet.robots}
     release = {RELEASE: release_of(robots)}
     chosen = set(wanted)
     built = {name: finished(files | release) for name, files in robots.items()}
@@ -241,7 +241,19 @@ def _add(files: Files, made: Files, application: str, owners: dict[str, str]) ->
         owners.setdefault(path, application)
 
 
-def _agent(these: SystemIngredients, target: Target, programs: Files, robot: FleetRobot) -> Files:
+def inner_bundles(these: SystemIngredients, squad: str) -> dict[str, Files]:
+    """Return the files of each robot of a fleet that is the robot `squad` of an outer fleet, without the outer program.
+
+    A fleet with one application has the same files as one with several: the outer program is one more application.
+    Raises NamesClash.
+    """
+    these = these_with_sizes(these)
+    programs, agents = _programs(these), {t.name: t for t in these.targets if t.kind == "agent"}
+    return {r.name: _agent(these, agents[r.target], programs, r, squad) for r in these.fleet.robots}
+
+
+def _agent(these: SystemIngredients, target: Target, programs: Files, robot: FleetRobot, squad: str) -> Files:
+    """Return the files of one robot, without the release. `squad`: see inner_bundles; "" for a robot of no squad."""
     module, _, name = target.entry.partition(":")
     system, fleet, hashes = these.system, these.fleet, _hashes(these)
     watched = [(a.name, module_of(a)) for a in system.applications if has_properties(a.program)]
@@ -257,10 +269,11 @@ def _agent(these: SystemIngredients, target: Target, programs: Files, robot: Fle
         "program_hash": hashes[0],
         "interface_hash": hashes[1],
         "applications": [a.name for a in system.applications],
+        "squad": squad,
     }
     main = render(
         "main_agent.py", module=module, name=name, drivers=_drivers(these, robot.pid), properties=watched,
-        applications=values["applications"],
+        applications=values["applications"], squad=squad,
     )  # fmt: skip
     return {
         **these.common,

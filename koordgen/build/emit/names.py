@@ -56,6 +56,12 @@ class Names:
         self.calls = {f.name: self._mint(f"EXTERN_{snake(f.name).upper()}") for f in program.externs}
         self.guards = {e.name: self._mint(f"guard_{snake(e.name)}") for e in program.events}
         self.effects = {e.name: self._mint(f"effect_{snake(e.name)}") for e in program.events}
+        self.provided = {
+            (m.name, p.port.name): self._mint(f"provided_{snake(m.name)}_{p.port.name}")
+            for m in program.provides
+            for p in m.ports
+            if p.port.direction == "sensor"
+        }
         self.bounds: dict[str, str] = {}  # names of records' bounds, by the text of the bound
         self.used: set[str] = set()
 

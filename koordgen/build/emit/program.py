@@ -38,6 +38,7 @@ def program_text(program: ir.Program, functions: bytes = b"") -> str:
     _add_state(body, program, names)
     _add_functions(body, program, names)
     _add_events(body, program, names)
+    _add_provided(body, program, names)
     body.gap()
     tables = _tables(program, names, program_hash(program, functions))
     head = _head(program, names)
@@ -250,6 +251,18 @@ def _add_events(page: Page, program: ir.Program, names: Names) -> None:
         page.add(f"def {names.effects[e.name]}(s: State) -> None:")
         page.add(f'"""eff of {e.name}, {_place(program, e.span)}"""', STEP)
         _add_block(page, e.effect, names)
+
+
+def _add_provided(page: Page, program: ir.Program, names: Names) -> None:
+    """Add a function for each sensor that the program provides to the program of another fleet."""
+    for module in program.provides:
+        for each in module.ports:
+            if each.port.direction == "sensor":
+                function = names.provided[module.name, each.port.name]
+                page.gap()
+                page.add(joined(f"def {function}(s: State) -> ", annotation(each.port.type, names), ":"))
+                page.add(f'"""provided {module.name}.{each.port.name}, {_place(program, each.port.span)}"""', STEP)
+                page.add(joined("return ", expr.text(each.value, names)), STEP, each.value.span.line)
 
 
 def _tables(program: ir.Program, names: Names, hashed: str) -> Page:

@@ -40,18 +40,23 @@ def left_out(bundles: Mapping[str, Mapping[str, bytes]], targets: Collection[str
 
     if "fleet" not in bundles or all(manifest.load(name).kind != "agent" for name in targets):
         return []
-    robots = json.loads(bundles["fleet"]["fleet.json"])["peers"]
-    return [robot["name"] for robot in robots if robot["name"] not in bundles]
+    facts = json.loads(bundles["fleet"]["fleet.json"])
+    inner = {
+        squad["name"]: [f"{squad['name']}.{robot}" for robot in squad["robots"]] for squad in facts.get("squads", ())
+    }
+    robots = [name for peer in facts["peers"] for name in inner.get(peer["name"], [peer["name"]])]
+    return [name for name in robots if name not in bundles]
 
 
 def planned(
-    options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}
+    options: Namespace, targets: list[str] | None, more: Mapping[str, Value] = {}, squads: bool = False
 ) -> tuple[dict[str, dict[str, bytes]], str]:
     """Return the bundles, and the name of the app, or of the fleet if its file names the programs.
 
     Raises Rejected, Failure.
 
-    `more`: values of params, replaced by those of the options --param. Warnings and notes are printed; for a command
+    `more`: values of params, replaced by those of the options --param. `squads`: True if the command can work with
+    robots that are fleets themselves. Warnings and notes are printed; for a command
     that prints one JSON document they are added to `options.collected` instead.
     """
     from koordgen.build.pipeline import fleet_name, plan_file, plan_fleet_file
@@ -66,8 +71,9 @@ def planned(
             name = fleet_name(options.program)
         else:
             given = {**more, **params(options.param)}
-            checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions)
-            diagnostics, name = [(checked.source, d) for d in checked.diagnostics], checked.program.name
+            checked, bundles = plan_file(options.program, targets, options.fleet, given, options.functions, squads)
+            diagnostics = [*((checked.source, d) for d in checked.diagnostics), *checked.elsewhere]
+            name = checked.program.name
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     except ManifestError as error:

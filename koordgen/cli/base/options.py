@@ -11,6 +11,8 @@ from koordgen.cli.base.parser import Parser
 def check(command: Parser) -> None:
     """Options of `koordgen check`."""
     _program_or_fleet(command)
+    _fleet(command.add_argument_group("fleet"), "a fleet file (YAML): check all that `build` checks, too")
+    command.set_defaults(param=[], functions=None)
     _diagnostics(command.add_argument_group("output"))
 
 
@@ -69,7 +71,7 @@ def prove(command: Parser) -> None:
     question = command.add_argument_group("what to prove")
     many = "number of robots: `any`, a number, or a range such as 3..15 (default: any)"
     question.add_argument("--robots", metavar="N", type=values.robots, default="any", help=many)
-    _fleet(question, "a fleet file (YAML), for the values of params")
+    _fleet(question, "a fleet file (YAML), for the values of params, and for robots that are fleets themselves")
     value = "value of a param; other params may have any value; may be repeated"
     question.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
     inner = "program of the fleets that are the robots of APP: prove that it keeps what APP assumes of its modules"

@@ -23,7 +23,7 @@ from koordgen.cli.base.values import is_fleet
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from koordgen.lang.analyze.params import Value
@@ -71,19 +71,23 @@ def _total(options: Namespace) -> float:
 
 def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
     """Check a program, prove its invariants, and print or write the results. Raises SolverMissing."""
-    from koordgen.build.pipeline import check_file, fleet_params
+    from koordgen.build.pipeline import check_file
     from koordgen.cli.verify.attack import attack_verdicts
+    from koordgen.cli.verify.levels import prove_inner, read_outer
+    from koordgen.verify.prove.report.levels import with_levels
 
     checked = check_file(options.program)
     if options.format == "text":
         print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
-    given = {**fleet_params(options.fleet, checked, options.program), **params(options.param)}
+    outer = read_outer(options, checked.program)
+    given = {**outer.params, **params(options.param)}
     question = fixed_params(checked.program, given)
     found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
     attacks = attack_verdicts(checked.program, question, found, solver, options)
-    levels = levels_of(options, checked.program, question, solver) if options.inner is not None else None
+    levels = prove_inner(options, outer, checked.program, question, solver, _total(options))
+    found = [with_levels(verdicts, levels) for verdicts in found]
     solver.stop()  # the operating system frees the solver's memory while this process prints
-    print_verdicts(options, found, attacks, levels)
+    print_verdicts(options, found, attacks, levels, outer.targeted)
     if options.emit is not None:
         emit(options.emit, files(checked.source, checked.program, question, options.robots, found))
     if options.trace is not None:
@@ -93,31 +97,7 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
         else:
             notify(f"note: no counterexample was found, so no trace was written to {options.trace}")
     worst = status(found)
-    return worst if worst != HOLDS or levels is None or levels.is_proved else INCONCLUSIVE
-
-
-def levels_of(
-    options: Namespace, outer: Program, params: Mapping[str, Expr], solver: Solver | CrossCheck
-) -> LevelVerdicts:
-    """Prove what the program assumes of its modules about the program `options.inner`. Raises Failure, Rejected."""
-    from koordgen.build.pipeline import check_file
-    from koordgen.cli.base.alarm import alarm
-    from koordgen.lang.semantics.deadline import OutOfTime
-    from koordgen.verify.prove.report.levels import prove_levels
-
-    checked = check_file(options.inner)
-    if options.format == "text":
-        print_diagnostics([(checked.source, d) for d in checked.diagnostics], options)
-    if not checked.program.provides:
-        message = f"{options.inner} provides no module, so its fleet cannot be a robot"
-        raise Failure(USAGE, message, "declare the module's ports: 'provides Motion:' (`koordgen docs language`)")
-    seconds = _total(options)
-    try:
-        with alarm(seconds):
-            return prove_levels(checked.program, outer, {}, params, solver)
-    except OutOfTime:
-        message = f"the time limit of {seconds:g} s for the proof of {options.inner} is over"
-        raise Failure(INCONCLUSIVE, message, "try a longer --timeout") from None
+    return worst if worst != HOLDS or all(each.is_proved for each in levels) else INCONCLUSIVE
 
 
 def verdicts_by_robots(
@@ -173,8 +153,12 @@ def status(found: list[list[InvariantVerdict]]) -> int:
 
 
 def print_verdicts(
-    options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks], levels: LevelVerdicts | None = None
-) -> None:
+    options: Namespace, found: list[list[InvariantVerdict]], attacks: list[Attacks],
+    levels: Sequence[LevelVerdicts] = (), targeted: Sequence[str] = (),
+) -> None:  # fmt: skip
+    """Print the verdicts about the program, then those about inner programs.
+
+    `targeted`: the robots of a fleet with squads that have a target."""
     from koordgen.cli.base.terminal import coloured_verdicts
     from koordgen.verify.prove.report.show import document, report
 
@@ -182,18 +166,21 @@ def print_verdicts(
         import json
 
         made_of_all = document(zip(found, attacks, strict=True))
-        if levels is not None:
+        if levels:
             from koordgen.verify.prove.report.levels import levels_document
 
-            made_of_all["levels"] = levels_document(levels)
+            made_of_all["levels"] = [levels_document(each) for each in levels]
         print(json.dumps(made_of_all, indent=2), flush=True)
         return
     for verdicts, made in zip(found, attacks, strict=True):
         sys.stdout.write(coloured_verdicts(report(verdicts, options.program, made), sys.stdout))
-    if levels is not None:
+    if levels:
         from koordgen.verify.prove.report.levels import levels_text
 
-        sys.stdout.write(coloured_verdicts(f"\n{levels_text(levels)}", sys.stdout))
+        for each in levels:
+            sys.stdout.write(coloured_verdicts(f"\n{levels_text(each)}", sys.stdout))
+        if targeted and any(each.provided for each in levels):
+            print(f"\nnot proved of robots with a target, which no program describes: {', '.join(targeted)}")
 
 
 def files(

@@ -10,7 +10,7 @@ from koordgen.build.emit.program import program_text
 from koordgen.lang.semantics.eval import Discarded
 from koordgen.lang.semantics.state import Store, World, nobody
 from koordgen.lang.semantics.step import execute, initial
-from koordgen.runtime.program.program import Effects, Fault
+from koordgen.runtime.program.program import Effects, Fault, Frame, Program
 from koordgen.runtime.values.gridmap import GridMap
 from koordgen.runtime.values.points import Grid, Opaque, Point
 from tests.build.emit.generated import MOTION, checked, frame, load, locals_after, step
@@ -279,3 +279,29 @@ def test_an_event_tells_nothing_of_an_earlier_one() -> None:
 def test_a_program_without_loop_invariants_has_no_code_for_them() -> None:
     text = program_text(checked(LOOPS.replace("    invariant k < 2\n", "") + event("for x in xs: n += x")))
     assert "claim" not in text and "behind" not in text and "turns_" not in text
+
+
+PROVIDES = """provides Motion:
+  sensors:
+    Point position = corner[0]
+    bool reached = forall i in ID: corner[i] == goal
+  actuators: Point target = goal
+allwrite: Point goal
+allread: Point corner[N_SYS]
+E:
+  pre: goal == Point(1, 0, 0)
+  eff: corner[pid] = goal
+"""
+
+
+def test_each_provided_sensor_is_a_function_of_the_state() -> None:
+    scope: dict[str, Any] = {"__file__": "generated.py"}
+    exec(compile(program_text(checked(PROVIDES)), "generated.py", "exec"), scope)
+    program: Program = scope["PROGRAM"]
+    corners = (Point(1, 2, 3), Point(0, 0, 0), Point(1, 2, 3))
+    shared = {"corner": corners, "goal": Point(1, 2, 3)}
+    state = program.begin(Frame(0, 3, {}, shared, {}, {}))
+    assert scope["provided_motion_position"](state) == Point(1, 2, 3)
+    assert scope["provided_motion_reached"](state) is False
+    assert "provided_motion_target" not in scope, "an actuator is a variable"
+    assert program.lines[scope["provided_motion_reached"].__code__.co_firstlineno + 2] == 4

@@ -14,7 +14,7 @@ from koordgen.build.bundle.drivers import check_drivers, driver_files
 from koordgen.build.bundle.functions import check_functions, functions_file
 from koordgen.build.bundle.port_calls import check_calls
 from koordgen.build.bundle.ports import check_ports
-from koordgen.build.pipeline import Rejected, check_alone, check_system, read_source
+from koordgen.build.pipeline import Rejected, check_alone, check_system, read_fleet, read_source
 from koordgen.cli import main
 from koordgen.fleet import file as fleet
 from koordgen.fleet import manifest
@@ -27,6 +27,7 @@ from koordgen.lang.explain import CodeExplanation, explanation, show
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.source import Source, Span
 from koordgen.lang.syntax.parse import parse
+from tests.build.squad_files import fleet_files
 
 FOLDER = Path(explain.__file__).parent
 RULES = FOLDER.parent / "analyze" / "rules"
@@ -182,7 +183,23 @@ def test_examples_of_applications(code: str, tmp_path: Path) -> None:
         assert set(told) == wanted, note
 
 
-@pytest.mark.parametrize("code", [code for code in codes("B") if code not in OTHERS])
+def test_examples_of_squads(tmp_path: Path) -> None:
+    targets = {name: manifest.load(name) for name in manifest.available()}
+    path, found = str(fleet_files(tmp_path)), explanation("B014")
+    assert found.wrong_note == "Wrong, if the fleet provides `Motion` with `Point position` and `Point target`:"
+    for note, text, wanted in examples(found):
+        program, before = of_program(text)
+        assert program is not None and before == []
+        (tmp_path / "app.koord").write_text(text)
+        told = set[str]()
+        try:
+            read_fleet(path, targets, program, str(tmp_path / "app.koord"), squads=True)
+        except Rejected as rejected:
+            told = {d.code for _, d in rejected.found}
+        assert told == wanted, note
+
+
+@pytest.mark.parametrize("code", [code for code in codes("B") if code not in (*OTHERS, "B014")])
 def test_examples_of_builds(code: str, tmp_path: Path) -> None:
     found = explanation(code)
     target = re.search(r"--target (\w+)", found.wrong_note)

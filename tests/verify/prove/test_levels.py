@@ -242,7 +242,7 @@ def test_the_command_prints_both_levels(tmp_path: Path, capsys: pytest.CaptureFi
     assert "each robot of outer.koord is a fleet of inner.koord" in text and "PROVED    assume" in text
     assert "not covered: the time before the first command" in text
     assert main(["prove", outer, "--inner", inner, "--format", "json"]) == 0
-    found = json.loads(capsys.readouterr().out)["levels"]
+    (found,) = json.loads(capsys.readouterr().out)["levels"]
     assert [each["verdict"] for each in found["assumptions"]] == ["PROVED"]
     programs(tmp_path, "position' > 0")
     assert main(["prove", outer, "--inner", inner]) == 4

@@ -25,10 +25,20 @@ from koordgen.verify.prove.smt.solve import CrossCheck, ObligationResult, Solver
 
 # Not asked of a kept assumption: it is about any earlier time, and a command begins a new outer round.
 NOT_KEPT: frozenset[Kind] = frozenset(("base", "interference"))
+SLACK_ROUNDS = 3  # inner rounds from a command of the outer program until the inner round that applies it, at most
 SLACK = (
     "not covered: the time before the first command, and from a command until the inner round that applies it, at most "
     "three inner rounds"
 )
+
+
+class InnerRobots(NamedTuple):
+    """Robots of an outer fleet file that are fleets of one inner program, with equal params and rounds.
+
+    `names`: of the robots. `delta`: seconds in a round of their fleets."""
+
+    names: tuple[str, ...]
+    delta: float
 
 
 class ProvidedVerdict(NamedTuple):
@@ -49,13 +59,25 @@ class ProvidedVerdict(NamedTuple):
 class LevelVerdicts(NamedTuple):
     """Verdicts about what the outer program assumes, and about the inner program.
 
-    `assumed`: the assumptions on which all of them rest."""
+    `assumed`: the assumptions on which all of them rest. `robots`: the robots whose fleets run the inner program; None
+        without a fleet file."""
 
     outer: str
     inner: str
     provided: tuple[ProvidedVerdict, ...]
     invariants: tuple[InvariantVerdict, ...]
     assumed: tuple[LedgerEntry, ...]
+    robots: InnerRobots | None = None
+
+    @property
+    def slack(self) -> str:
+        """Limit of a verdict about an assumption that reads an actuator, as text."""
+        seconds = self.slack_seconds
+        return SLACK if seconds is None else f"{SLACK} ({seconds:g} s)"
+
+    @property
+    def slack_seconds(self) -> float | None:
+        return None if self.robots is None else round(SLACK_ROUNDS * self.robots.delta, 9)
 
     @property
     def is_proved(self) -> bool:
@@ -180,9 +202,28 @@ def _reads_actuator(each: ProvidedAssumption, stated: ProvidedModules) -> bool:
     return any(isinstance(n, PortRead) and n.port in actuators for n in walk(each.assumption.formula))
 
 
+def with_levels(verdicts: Sequence[InvariantVerdict], levels: Sequence[LevelVerdicts]) -> list[InvariantVerdict]:
+    """Return the outer program's verdicts, with ledgers that name the inner programs proved to keep an assumption."""
+    proved: dict[int, list[str]] = {}
+    for each in levels:
+        whose = f" for {', '.join(each.robots.names)}" if each.robots else ""
+        for one in each.provided:
+            if one.verdict == "PROVED":
+                proved.setdefault(one.assumption.span.line, []).append(f"PROVED of {each.inner}{whose}, see below")
+
+    def noted(entry: LedgerEntry) -> LedgerEntry:
+        notes = proved.get(entry.line, []) if entry.kind == "port assumption" else []
+        return entry._replace(checked="; ".join([*notes, *filter(None, [entry.checked])]))
+
+    return [verdict._replace(assumptions=tuple(map(noted, verdict.assumptions))) for verdict in verdicts]
+
+
 def levels_text(found: LevelVerdicts) -> str:
     """Return the verdicts about both levels as text."""
-    lines = [f"each robot of {found.outer} is a fleet of {found.inner}, for every number of inner robots", ""]
+    whose = f"each robot of {found.outer} is a fleet of {found.inner}"
+    if found.robots is not None:
+        whose = f"{', '.join(found.robots.names)} of {found.outer}: a fleet of {found.inner}"
+    lines = [f"{whose}, for every number of inner robots", ""]
     for each in found.provided:
         text = f"assume {to_koord(each.assumption.formula)}"
         lines.append(f"{each.verdict:<9} {text}  ({found.outer}:{each.assumption.span.line})")
@@ -191,7 +232,7 @@ def levels_text(found: LevelVerdicts) -> str:
         if each.rests_on:
             lines += wrapped(f"rests on {', '.join(each.rests_on)} of {found.inner}")
         if each.verdict == "PROVED" and each.has_slack:
-            lines += wrapped(SLACK)
+            lines += wrapped(found.slack)
     if not found.provided:
         lines.append(f"{found.outer} assumes nothing about its modules")
     if any(each.verdict == "PROVED" for each in found.provided):
@@ -205,6 +246,7 @@ def levels_document(found: LevelVerdicts) -> dict[str, Any]:
     return {
         "outer": found.outer,
         "inner": found.inner,
+        "robots": None if found.robots is None else list(found.robots.names),
         "assumptions": [
             {
                 "module": each.module,
@@ -212,7 +254,8 @@ def levels_document(found: LevelVerdicts) -> dict[str, Any]:
                 "line": each.assumption.span.line,
                 "verdict": each.verdict,
                 "reason": each.reason or None,
-                "slack": SLACK if each.has_slack else None,
+                "slack": found.slack if each.has_slack else None,
+                "slack_seconds": found.slack_seconds if each.has_slack else None,
                 "rests_on": list(each.rests_on),
             }
             for each in found.provided

@@ -15,6 +15,7 @@ def root(context, missing=missing):
     l_0_summary = resolve('summary')
     l_0_pid = resolve('pid')
     l_0_key = resolve('key')
+    l_0_squad = resolve('squad')
     l_0_applications = resolve('applications')
     l_0_program_hash = resolve('program_hash')
     l_0_interface_hash = resolve('interface_hash')
@@ -48,6 +49,15 @@ def root(context, missing=missing):
     else:
         pass
         yield 'This bundle was built without a fleet file, so it has no `settings.json`: build with `--fleet FILE`, or run with `--settings FILE`.\n'
+    if (undefined(name='squad') if l_0_squad is missing else l_0_squad):
+        pass
+        yield 'This robot belongs to the squad `'
+        yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
+        yield '`, a fleet that is one robot of an outer fleet. One of its robots, the host, also runs\nthe agent of `'
+        yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
+        yield '`; if the host is lost, another one takes its place. `outer.json` has the settings of `'
+        yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
+        yield '` for this robot.\n\n'
     yield '`--settings FILE` replaces entries of the settings by those of another JSON file; `--pid N` runs as another robot of the fleet.\n\n| file | content |\n|---|---|\n'
     if (undefined(name='applications') if l_0_applications is missing else l_0_applications):
         pass
@@ -57,6 +67,13 @@ def root(context, missing=missing):
         yield '| `program.py` | the generated program; a comment after each statement has its line in `'
         yield str((undefined(name='source') if l_0_source is missing else l_0_source))
         yield '` |\n'
+    if (undefined(name='squad') if l_0_squad is missing else l_0_squad):
+        pass
+        yield '| `program.py`, `properties.py` | the program of the outer fleet, which the host runs for `'
+        yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
+        yield '` |\n| `squad.py` | the ports of `'
+        yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
+        yield '`: which function computes a sensor, and which variable takes the commands of an actuator |\n'
     yield '| `koordgen/runtime/` | rounds, shared memory, safety: the same on every robot |\n| `targets/'
     yield str((undefined(name='target') if l_0_target is missing else l_0_target))
     yield "/` | code for this kind of robot |\n| `SHA256SUMS` | `sha256sum -c SHA256SUMS` checks that the folder is complete and unchanged |\n\nIf something goes wrong, look into the code in `koordgen/runtime/`. Each folder's `__init__.py` says what it owns.\n\n| question | file |\n|---|---|\n| geofence, stale position | `koordgen/runtime/vehicle/safety.py` |\n| why the robot holds; commands to its actuators | `koordgen/runtime/vehicle/interface.py` |\n| why a round was skipped, or an event discarded | `koordgen/runtime/agent/rounds.py`, `koordgen/runtime/program/runner.py` |\n| values of a program's extern functions; time budget of an event | `koordgen/runtime/program/extern.py`, `koordgen/runtime/program/runner.py` |\n| retransmission of lost datagrams | `koordgen/runtime/replication/retransmission.py` |\n| failure detector (dead-robot detection) | `koordgen/runtime/replication/failure_detector.py` |\n| view change; rejoin after a crash | `koordgen/runtime/replication/views.py`, `koordgen/runtime/replication/rejoin.py` |\n| dropped datagrams: authentication, replay, another release | `koordgen/runtime/net/link.py`, `koordgen/runtime/net/seal.py` |\n| emergency stop, `--status`, `--doctor` | `koordgen/runtime/ops/control.py`, `koordgen/runtime/ops/doctor.py` |\n| what survives a crash | `koordgen/runtime/agent/persistence.py`, `koordgen/runtime/agent/checkpoint.py` |\n| monitors of properties | `koordgen/runtime/monitor/monitor.py` |\n| trace, log lines | `koordgen/runtime/trace/writer.py`, `koordgen/runtime/ops/journal.py` |\n\nA running robot writes its state to `../state/`, to continue after a crash. Leave that folder there, and start the robot again: it\nrejoins the mission, which the others have continued. `koordgen estop FLEET` stops all robots, from any computer"
@@ -70,4 +87,4 @@ def root(context, missing=missing):
     yield '. Robots with different hashes refuse one another.\nKeep away from the robot as soon as you start it: a flying robot takes off at once, even if no other robot has started, and hovers.\nAll robots run the program as soon as the whole fleet has started.\n'
 
 blocks = {}
-debug_info = '1=23&3=27&21=35&22=38&23=45&32=52&36=58&39=61&60=63&63=67'
+debug_info = '1=24&3=28&21=36&22=39&23=46&28=52&29=55&30=57&37=62&41=68&43=70&44=73&45=75&48=78&69=80&72=84'

@@ -9,6 +9,7 @@ def root(context, missing=missing):
     if 0: yield None
     l_0_applications = resolve('applications')
     l_0_properties = resolve('properties')
+    l_0_squad = resolve('squad')
     l_0_module = resolve('module')
     l_0_name = resolve('name')
     l_0_drivers = resolve('drivers')
@@ -27,6 +28,9 @@ def root(context, missing=missing):
             yield str(environment.getattr(l_1_loop, 'index'))
             yield '\n'
         l_1_loop = l_1__ = l_1_end = missing
+        if (undefined(name='squad') if l_0_squad is missing else l_0_squad):
+            pass
+            yield '        from squad import SQUAD\n'
     else:
         pass
         yield '        from program import PROGRAM\n'
@@ -59,7 +63,7 @@ def root(context, missing=missing):
         yield str(l_1_served)
         yield '": Driver'
         yield str(environment.getattr(l_1_loop, 'index'))
-        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 37 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 40 in 'main_agent.py' evaluated to false and no else section was defined.")))
     l_1_loop = l_1_served = l_1__ = missing
     yield '}\n'
     if (undefined(name='applications') if l_0_applications is missing else l_0_applications):
@@ -73,14 +77,16 @@ def root(context, missing=missing):
             yield str(l_1_application)
             yield '": PROPERTIES_'
             yield str(environment.getattr(l_1_loop, 'index'))
-            yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 39 in 'main_agent.py' evaluated to false and no else section was defined.")))
+            yield str((', ' if (not environment.getattr(l_1_loop, 'last')) else cond_expr_undefined("the inline if-expression on line 42 in 'main_agent.py' evaluated to false and no else section was defined.")))
         l_1_loop = l_1_application = l_1__ = missing
-        yield '}\n    raise SystemExit(main(FLEET, Body, HERE, sys.argv[1:], drivers, properties))\n'
+        yield '}\n    raise SystemExit(main(FLEET, Body, HERE, sys.argv[1:], drivers, properties'
+        yield str((', SQUAD' if (undefined(name='squad') if l_0_squad is missing else l_0_squad) else cond_expr_undefined("the inline if-expression on line 43 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        yield '))\n'
     else:
         pass
         yield '    raise SystemExit(main(PROGRAM, Body, HERE, sys.argv[1:], drivers'
-        yield str((', PROPERTIES' if (undefined(name='properties') if l_0_properties is missing else l_0_properties) else cond_expr_undefined("the inline if-expression on line 42 in 'main_agent.py' evaluated to false and no else section was defined.")))
+        yield str((', PROPERTIES' if (undefined(name='properties') if l_0_properties is missing else l_0_properties) else cond_expr_undefined("the inline if-expression on line 45 in 'main_agent.py' evaluated to false and no else section was defined.")))
         yield '))\n'
 
 blocks = {}
-debug_info = '18=17&20=21&21=25&25=33&29=37&30=42&31=46&37=55&38=65&39=69&42=82'
+debug_info = '18=18&20=22&21=26&23=31&28=37&32=41&33=46&34=50&40=59&41=69&42=73&43=83&45=88'

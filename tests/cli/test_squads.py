@@ -1,0 +1,120 @@
+"""Fleet files with squads on the command line: check, build and prove take them, and other commands refuse them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from koordgen.cli import main
+from tests.build.squad_files import LINEFORM, fleet_files
+
+GEOFENCE = LINEFORM.parent / "geofence.koord"
+ROOT = LINEFORM.parents[2]
+
+
+def columns(folder: Path) -> Path:
+    """Write the fleet files with the program of the page on proofs as inner program. Return the outer file."""
+    outer = fleet_files(folder)
+    page = (ROOT / "docs/explanation/proofs.md").read_text()
+    (text,) = re.findall(r"```koord\n(# column.koord\n.*?)```", page, re.DOTALL)
+    (folder / "triangle.koord").write_text(text)
+    return outer
+
+
+def test_a_program_is_checked_together_with_a_fleet_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outer = fleet_files(tmp_path)
+    assert main(["check", str(LINEFORM), "--fleet", str(outer)]) == 0
+    assert main(["check", str(LINEFORM), "--fleet", str(LINEFORM.parent / "fleet.yaml")]) == 0
+    assert not list(tmp_path.glob("build")), "nothing is written"
+    capsys.readouterr()
+    (tmp_path / "triangle.koord").write_text((tmp_path / "triangle.koord").read_text().replace("Motion:", "Drive:", 1))
+    assert main(["check", str(LINEFORM), "--fleet", str(outer)]) == 1
+    assert "lineform.koord:3:1: error[B014]: the robot alpha has no module Motion" in capsys.readouterr().err
+    assert main(["check", str(outer), "--fleet", str(outer)]) == 2
+
+
+def test_bundles_are_written_for_both_levels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["build", str(LINEFORM), "--fleet", str(fleet_files(tmp_path)), "-o", str(tmp_path / "build")]
+    assert main(command) == 0
+    folder = tmp_path / "build/lineform"
+    names = ["alpha.ann", "alpha.bob", "alpha.cyd", "beta.eve", "beta.fay", "beta.gus", "dora", "fleet"]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    assert f"{folder / 'alpha.ann'}  " in capsys.readouterr().out
+    assert main([*command, "--target", "car"]) == 0
+    note = "leaves out alpha.ann, alpha.bob, alpha.cyd, beta.eve, beta.fay, beta.gus;"
+    assert note in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command", [["explore"], ["sim", "--lockstep", "--duration", "1"], ["validate"], ["campaign", "--vary", "seed=1:2"],
+                ["deploy"]],
+    ids=lambda command: command[0],
+)  # fmt: skip
+def test_other_commands_refuse_squads(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *options = command
+    assert main([name, str(GEOFENCE), "--fleet", str(fleet_files(tmp_path)), *options]) == 1
+    assert "outer.yaml:6:26: error[F005]: alpha is a fleet itself, which this" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["start", "logs", "collect", "basestation"])
+def test_commands_for_fleets_at_work_refuse_squads(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = {"basestation": ["--system", "vicon", "--host", "h"], "collect": ["-o", str(tmp_path / "run")]}
+    assert main([command, str(fleet_files(tmp_path)), *more.get(command, [])]) == 1
+    assert "error[F005]: alpha is a fleet itself, which this command does not support" in capsys.readouterr().err
+
+
+def test_both_levels_are_proved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outer = str(columns(tmp_path))
+    assert main(["prove", str(GEOFENCE), "--fleet", outer, "--attack", "0"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "alpha, beta of geofence.koord: a fleet of triangle.koord, for every number of inner robots" in text
+    assert "at most three inner rounds (0.3 s)" in text, "the rounds of the inner fleets take 0.1 s"
+    assert "checked: PROVED of triangle.koord for alpha, beta, see below; the simulator checks" in text
+    assert "assumed in triangle.koord:" in text and text.endswith("which no program describes: dora")
+    assert main(["prove", str(GEOFENCE), "--fleet", outer, "--attack", "0", "--format", "json"]) == 0
+    (level,) = json.loads(capsys.readouterr().out)["levels"]
+    assert level["robots"] == ["alpha", "beta"]
+    assert [(each["verdict"], each["slack_seconds"]) for each in level["assumptions"]] == [("PROVED", 0.3)]
+
+
+def test_inner_programs_with_other_params_are_proved_for_themselves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outer = columns(tmp_path)
+    text = (tmp_path / "triangle.koord").read_text()
+    text = text.replace("allwrite:", "param float reach = 0.5\nallwrite:", 1)
+    (tmp_path / "triangle.koord").write_text(text.replace("(centre + goal) / 2", "centre + (goal - centre) * reach"))
+    fleet = (tmp_path / "beta.yaml").read_text()
+    (tmp_path / "alpha.yaml").write_text(
+        (tmp_path / "alpha.yaml").read_text().replace("triangle.koord}", "triangle.koord, params: {reach: 0.5}}")
+    )
+    (tmp_path / "beta.yaml").write_text(fleet.replace("triangle.koord}", "triangle.koord, params: {reach: 2.0}}"))
+    command = ["prove", str(GEOFENCE), "--fleet", str(outer), "--attack", "0", "--format", "json"]
+    assert main(command) == 4
+    found = json.loads(capsys.readouterr().out)["levels"]
+    verdicts = {name: each["assumptions"][0]["verdict"] for each in found for name in each["robots"]}
+    assert verdicts == {"alpha": "PROVED", "beta": "UNPROVED"}, "a step of beta goes beyond its goal"
+
+
+def test_an_inner_program_that_shares_variables_with_others_is_not_proved(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outer = columns(tmp_path)
+    text = (tmp_path / "triangle.koord").read_text()
+    (tmp_path / "triangle.koord").write_text(f"export:\n  write Point centre\n{text}")
+    assert main(["prove", str(GEOFENCE), "--fleet", str(outer)]) == 4
+    assert "triangle.koord shares variables with other applications" in capsys.readouterr().err
+
+
+def test_a_fleet_file_names_the_inner_programs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outer = columns(tmp_path)
+    assert main(["prove", str(GEOFENCE), "--fleet", str(outer), "--inner", str(tmp_path / "triangle.koord")]) == 2
+    assert "names the fleets that are robots, but --inner is given as well" in capsys.readouterr().err
