@@ -30,7 +30,10 @@ from typing import Any, TextIO
 
 from koordgen.runtime.agent.checkpoint import CheckpointFile
 from koordgen.runtime.agent.machine import INTERNAL, OK, SURROUNDINGS, WRONG_PROGRAM, Agent
-from koordgen.runtime.config.settings import BadSettings, Settings
+from koordgen.runtime.agent.squad import Squad
+from koordgen.runtime.agent.squad_host import SquadHost
+from koordgen.runtime.agent.squad_process import AgentProcess, open_host
+from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.native import protocol
 from koordgen.runtime.native.loader import NotCompiled
 from koordgen.runtime.net import inbox
@@ -41,16 +44,15 @@ from koordgen.runtime.ops.checks import print_briefly, print_checks
 from koordgen.runtime.ops.control import Control
 from koordgen.runtime.ops.doctor import PlatformType, examine
 from koordgen.runtime.ops.host import temperature
+from koordgen.runtime.ops.journal import Emit
 from koordgen.runtime.ops.notify import Notifier
-from koordgen.runtime.ops.set_up import fleet_program, open_key, open_settings, open_transport, programs_of
+from koordgen.runtime.ops.set_up import fleet_program, open_key, open_settings, open_trace, open_transport, programs_of
 from koordgen.runtime.ops.status import ask, show
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program, wrong_first_value
 from koordgen.runtime.program.property import Properties, without_properties
 from koordgen.runtime.program.runner import EndedAtOnce, Interrupting
-from koordgen.runtime.trace.parts import MEGABYTE, TraceFileParts, set_aside
-from koordgen.runtime.trace.writer import Trace
 from koordgen.runtime.values.clock import SystemClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Finding, Platform, Unready
@@ -72,6 +74,7 @@ def main(
     argv: Sequence[str],
     drivers: Drivers = NO_DRIVERS,
     properties: Mapping[str, Properties] | Properties | None = None,
+    squad: Squad | None = None,
 ) -> int:
     """Run the program of a robot. Return the exit status.
 
@@ -81,13 +84,13 @@ def main(
     argv: arguments of the command line.
     drivers: module -> function that creates the driver of a module that the platform does not offer.
     properties: monitored properties, of each application by its name if there are several; None: none.
+    squad: the outer robot that this robot's fleet is; None: the fleet is not a robot of another fleet.
     """
     arguments = _arguments(program, argv)
     if isinstance(arguments, int):
         return arguments
     if arguments.compile:
         return _compile()
-    platform: Platform | None = None
     try:
         if arguments.check or arguments.doctor:
             with closing(examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)) as results:
@@ -106,22 +109,38 @@ def main(
             return _fail(wrong, "change the first value in the program", WRONG_PROGRAM)
         if reason := inbox.accelerator():  # compiles now if needed, which may take longer than a round
             _print_message("warning", f"{inbox.PYTHON_COSTS}: {reason}")
-        platform = platform_type(settings, key)
-        platform = with_drivers(platform, fleet.of(settings.pid), drivers)
-        return _run(fleet, settings, key, platform, root, _watched(fleet, properties), quiet=arguments.quiet)
-    except (BadSettings, BadKey, TooLarge, BadExtern) as error:
-        return _fail(str(error), "", WRONG_PROGRAM)
-    except CannotOpen as error:
-        return _fail(str(error), "", SURROUNDINGS)
-    except Unready as error:
-        return _fail(error.message, error.hint, SURROUNDINGS)
+        process = AgentProcess(SystemClock(), _emitter(arguments.quiet), Interrupting(), os.urandom(8))
+        watched = _watched(fleet, properties)
+        with ExitStack() as opened:
+            host = None
+            if squad is not None:
+                outer = load(root / squad.settings, _beside(arguments.settings, squad.settings))
+                host = open_host(squad, fleet, settings, outer, process)
+                opened.callback(host.close)
+                fleet, drivers = host.fleet, {**drivers, **host.drivers}
+            platform = platform_type(settings, key)
+            opened.callback(platform.close)
+            whole = with_drivers(platform, fleet.of(settings.pid), drivers)
+            opened.callback(whole.close)
+            return _run(fleet, settings, key, whole, root, watched, process, host)
+    except Exception as error:
+        return _failed(error)
     except (KeyboardInterrupt, EndedAtOnce):
         return _fail("the agent was ended at once; only the failsafe of the vehicle acts now", "", INTERRUPTED)
-    except Exception:
-        return _fail("internal error, please report it:\n" + traceback.format_exc(), "", INTERNAL)
-    finally:
-        if platform is not None:
-            platform.close()
+
+
+def _failed(error: Exception) -> int:
+    """Print why the agent cannot run. Return the exit status."""
+    match error:
+        case BadSettings() | BadKey() | TooLarge() | BadExtern():
+            return _fail(str(error), "", WRONG_PROGRAM)
+        case CannotOpen():
+            return _fail(str(error), "", SURROUNDINGS)
+        case Unready():
+            return _fail(error.message, error.hint, SURROUNDINGS)
+        case _:
+            text = "".join(traceback.format_exception(error))
+            return _fail(f"internal error, please report it:\n{text}", "", INTERNAL)
 
 
 def _load(fleet: FleetProgram, robot: int) -> str | None:
@@ -218,13 +237,10 @@ def _run(
     platform: Platform,
     root: Path,
     properties: Mapping[str, Properties],
-    quiet: bool,
+    process: AgentProcess,
+    host: SquadHost | None,
 ) -> int:
-    def emit(level: str, line: str) -> None:
-        if not quiet or level != "info":
-            _print(line)
-
-    clock = SystemClock()
+    clock, boot = process.clock, process.boot
     with ExitStack() as opened:
         transport = open_transport(settings)  # opened first, because this fails if the robot's agent already runs
         opened.callback(transport.close)
@@ -232,17 +248,18 @@ def _run(
         opened.callback(control.close)
         store = _open_store(program, settings, root)
         opened.callback(store.close)
-        trace = _open_trace(settings)
+        trace = open_trace(settings, _warn)
         opened.callback(trace.close)
-        boot = os.urandom(8)
         agent = Agent(
-            program, settings, key, platform, clock, transport, trace, emit, boot, store,
-            limit=Interrupting(), properties=properties,
+            program, settings, key, platform, clock, transport, trace, process.emit, boot, store,
+            limit=process.limit, properties=properties,
             cpu=time.thread_time,
         )  # fmt: skip
+        if host is not None:
+            host.attach(agent)
 
         def report() -> dict[str, Any]:
-            return {"boot": boot.hex(), **_report(settings, agent, control, root, clock.now())}
+            return {"boot": boot.hex(), **_report(settings, agent, control, root, clock.now(), host)}
 
         notifier = Notifier(os.environ, os.getpid())
         opened.callback(notifier.close)
@@ -258,6 +275,8 @@ def _run(
                 stopped = True
                 agent.stop_all("emergency stop")
             wake = agent.poll(clock.now())
+            if host is not None:
+                wake = min(wake, host.poll(clock.now()))
             if signals.count > seen:
                 seen += 1
                 if seen == 1:
@@ -273,7 +292,9 @@ def _run(
         return agent.status
 
 
-def _report(settings: Settings, agent: Agent, control: Control, root: Path, now: float) -> dict[str, Any]:
+def _report(
+    settings: Settings, agent: Agent, control: Control, root: Path, now: float, host: SquadHost | None
+) -> dict[str, Any]:
     counters, error = agent.counters(), agent.clock_error(now)
     dropped = {k.removeprefix("dropped: "): v for k, v in counters.items() if k.startswith("dropped: ")}
     return {
@@ -293,6 +314,7 @@ def _report(settings: Settings, agent: Agent, control: Control, root: Path, now:
             "temperature": temperature(),
         },
         "counters": {k: v for k, v in counters.items() if not k.startswith("dropped: ")},
+        **({} if host is None else {"outer": host.report(now)}),
         **agent.snapshot(now),
         **agent.metrics.snapshot(now, dropped | {f"order: {k}": v for k, v in control.rejected.items()}),
     }
@@ -333,32 +355,33 @@ def _open_store(program: FleetProgram, settings: Settings, root: Path) -> Checkp
     The file is beside the bundle's folder, so that the bundle can be replaced as a whole.
     """
 
-    def warn(text: str) -> None:
-        _print_message("warning", text)
-
     if settings.state is None:
-        warn("state: nothing is persisted (`state` is null), so the robot cannot rejoin its mission if its agent dies")
+        _warn("state: nothing is persisted (`state` is null), so the robot cannot rejoin its mission if its agent dies")
         path = None
     else:
         path = root.resolve().parent / settings.state / f"{settings.robot}.state"
     pid, instances = settings.pid, len(program.of_robot(settings.pid))
-    return CheckpointFile.open(path, program.of(pid), settings.robot, pid, len(settings.peers), warn, instances)
+    return CheckpointFile.open(path, program.of(pid), settings.robot, pid, len(settings.peers), _warn, instances)
 
 
-def _open_trace(settings: Settings) -> Trace:
-    def warn(text: str) -> None:
-        _print_message("warning", text)
+def _emitter(quiet: bool) -> Emit:
+    """Return a function that prints log lines: all of them, or warnings and errors only."""
 
-    if settings.trace is None:
-        return Trace(None, warn)
-    path, limit = Path(settings.trace).resolve(), settings.trace_limit
-    try:
-        if limit is not None and (path.is_file() or not path.exists()):  # only regular files are split into parts
-            return Trace(TraceFileParts(path, settings.robot, round(limit * MEGABYTE)), warn)
-        set_aside(path)
-        return Trace(path.open("wb"), warn)  # `_run` closes the trace
-    except OSError as error:
-        raise CannotOpen(f"trace: {settings.trace}: {error.strerror or error}") from None
+    def emit(level: str, line: str) -> None:
+        if not quiet or level != "info":
+            _print(line)
+
+    return emit
+
+
+def _beside(overrides: Path | None, name: str) -> Path | None:
+    """Return the file `name` in the folder of a settings file that the user gave; None without such a file."""
+    found = None if overrides is None else overrides.with_name(name)
+    return found if found is not None and found.is_file() else None
+
+
+def _warn(text: str) -> None:
+    _print_message("warning", text)
 
 
 def _fail(message: str, hint: str, status: int) -> int:

@@ -32,6 +32,7 @@ from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
 from koordgen.runtime.vehicle.drivers import Drivers
 
+RECEIVE_EVERY = 0.01  # seconds between two polls of the outer agent: the process waits at the inner socket only
 LATE = 3  # rounds by which the inner store may lag behind before the outer robot counts as not ready
 LONGEST_EVENT = 0.2  # largest duration of an event of the outer program, in rounds of the inner fleet
 
@@ -41,6 +42,7 @@ class HostSurroundings(NamedTuple):
 
     settings, key: those of the outer robot. boot: boot id of the inner agent. trace: function that opens the trace of
     one outer agent. monitors: see Agent. limit: the time limit of the process for events.
+    polls: the process does not wake when a datagram arrives for the outer robot, so it must poll.
     """
 
     settings: Settings
@@ -52,6 +54,7 @@ class HostSurroundings(NamedTuple):
     emit: Emit
     limit: Limit = unlimited
     monitors: tuple[Observe, ...] = ()
+    polls: bool = False
 
 
 class SquadHost:
@@ -84,6 +87,22 @@ class SquadHost:
     def drivers(self) -> Drivers:
         """Driver of the application's module, for `with_drivers`."""
         return {MODULE: lambda: self}
+
+    def report(self, now: float) -> dict[str, Any]:
+        """Return the state of the outer robot for the status report of this robot.
+
+        robot: its name. host: inner pid of its host; -1 if unknown. phase, round, pose, goal: only on the host.
+        """
+        record = self._record()
+        found: dict[str, Any] = {"robot": self.around.settings.robot, "host": -1 if record is None else record.pid}
+        if self.outer is not None:
+            found |= {"phase": self.outer.phase, "round": self.outer.round, **self.outer.snapshot(now)}
+        return found
+
+    def close(self) -> None:
+        """End the outer agent, and close its transport and trace. Idempotent."""
+        self._drop()
+        self.around.transport.close()
 
     # Driver of the module that the application commands.
 
@@ -136,7 +155,7 @@ class SquadHost:
         if self.outer.done:
             self._over = True
             self._drop()
-        return wake
+        return min(wake, now + RECEIVE_EVERY) if self.around.polls else wake
 
     def _begin(self, record: HostRecord) -> None:
         """Start the outer agent with the checkpoint of a record that this robot has claimed."""

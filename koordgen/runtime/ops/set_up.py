@@ -1,7 +1,8 @@
-"""Set-up of an agent from its bundle: settings, key, transport, programs."""
+"""Set-up of an agent from its bundle: settings, key, transport, programs, trace."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from koordgen.runtime.config.settings import BadSettings, Settings, load
@@ -10,6 +11,8 @@ from koordgen.runtime.net.transport import CannotOpen, Transport
 from koordgen.runtime.net.udp import GroupTransport, UnicastTransport
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program
+from koordgen.runtime.trace.parts import MEGABYTE, TraceFileParts, set_aside
+from koordgen.runtime.trace.writer import Trace
 
 
 def open_settings(root: Path, overrides: Path | None, pid: int | None) -> Settings:
@@ -83,3 +86,17 @@ def open_transport(settings: Settings) -> Transport:
             f"robot {settings.robot}: transport zenoh needs a package that does not load ({error}): {install}"
         ) from None
     return ZenohTransport(settings)
+
+
+def open_trace(settings: Settings, warn: Callable[[str], None]) -> Trace:
+    """Open the trace that the settings name; an earlier trace is set aside. Raises CannotOpen."""
+    if settings.trace is None:
+        return Trace(None, warn)
+    path, limit = Path(settings.trace).resolve(), settings.trace_limit
+    try:
+        if limit is not None and (path.is_file() or not path.exists()):  # only regular files are split into parts
+            return Trace(TraceFileParts(path, settings.robot, round(limit * MEGABYTE)), warn)
+        set_aside(path)
+        return Trace(path.open("wb"), warn)
+    except OSError as error:
+        raise CannotOpen(f"trace: {settings.trace}: {error.strerror or error}") from None
