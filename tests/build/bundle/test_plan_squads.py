@@ -68,6 +68,16 @@ def test_settings_of_both_levels(tmp_path: Path) -> None:
     assert [[a.port for a in peer.also] for peer in dora.peers] == [[49201, 49202], [], [49301, 49302]]
 
 
+@pytest.mark.parametrize(("inner", "outer", "said"), [("a", "b", True), ("a", "a", False), ("a", "", False)])
+def test_a_second_key_is_named(inner: str, outer: str, said: bool, tmp_path: Path) -> None:
+    path = fleet_files(tmp_path)
+    for file, key in ((path, outer), (tmp_path / "alpha.yaml", inner)):
+        file.write_text(file.read_text().replace("insecure: true", f"key: {key}.key" if key else "insecure: true"))
+    readme = planned(path)[1]["alpha.ann"]["README.md"].decode()
+    assert ("Copy the outer fleet's key\nbeside it as `b.key`." in readme) == said
+    assert "beside it as `a.key`" in readme
+
+
 def test_the_name_of_the_settings_file_is_the_runtimes() -> None:
     assert next(f.default for f in Squad.__dataclass_fields__.values() if f.name == "settings") == OUTER_SETTINGS
 
@@ -154,3 +164,21 @@ def test_warnings_about_inner_programs_are_kept(tmp_path: Path) -> None:
     (tmp_path / "triangle.koord").write_text(f"{TRIANGLE}{hidden}")
     checked, _ = planned(outer)
     assert [(Path(source.path).name, d.code) for source, d in checked.elsewhere] == [("triangle.koord", "K042")]
+
+
+def test_links_of_both_levels_carry_what_squads_add(tmp_path: Path) -> None:
+    outer = fleet_files(tmp_path)
+    text = outer.read_text()
+    outer.write_text(f"{text}link: {{rate: 300000, loss: 0.0}}\n")
+    planned(outer)
+    outer.write_text(f"{text}link: {{rate: 30000, loss: 0.0}}\n")
+    (found,) = errors(outer)
+    assert found.startswith("lineform.koord:7: B008 ") and "7 addresses of 3 robots x 2 senders" in found
+    outer.write_text(text)
+    alpha = (tmp_path / "alpha.yaml").read_text()
+    (tmp_path / "alpha.yaml").write_text(f"{alpha}link: {{rate: 6000000, loss: 0.0}}\n")
+    checked, _ = planned(outer)
+    assert not checked.elsewhere, "a record may need several datagrams, but seldom does"
+    (tmp_path / "alpha.yaml").write_text(f"{alpha}link: {{rate: 600000, loss: 0.0}}\n")
+    (found,) = errors(outer)
+    assert found.startswith("outer.yaml:6: B008 all applications together may send "), "the record counts"
