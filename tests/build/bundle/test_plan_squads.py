@@ -84,17 +84,17 @@ def test_the_name_of_the_settings_file_is_the_runtimes() -> None:
 
 LOADED = """
 import sys
+from types import SimpleNamespace
 sys.path.insert(0, sys.argv[1])
 from applications import FLEET
-from koordgen.runtime.program.program import Frame
+from koordgen.runtime.agent.squad import SensorValues
 from koordgen.runtime.values.points import Point
 from squad import SQUAD
-program = FLEET.applications[SQUAD.application].program
-shared = {"corner": (Point(1, 0, 0), Point(3, 0, 0)), "goal": Point(2, 0, 0), "reached": True}
-frame = Frame(0, 2, {}, {v.name: shared.get(v.name) for v in program.shared}, *[dict.fromkeys(
-    [p.name for p in program.ports])] * 2)
-for port, value in SQUAD.sensors.items():
-    print(port, value(program.begin(frame)))
+fleet = SQUAD.with_outer(FLEET, 3, SimpleNamespace(may_claim=None, claim=None, has_news=None, write=None))
+store = {v.name: (v.initial(),) * 3 if v.kind == "allread" else v.initial() for v in fleet.shared()}
+store |= {"shape.corner": (Point(1, 0, 0), Point(3, 0, 0), Point(2, 0, 0)), "shape.goal": Point(2, 0, 0)}
+for port, value in SensorValues(SQUAD, fleet).of(store).items():
+    print(port, value)
 print(SQUAD.application, SQUAD.actuators, SQUAD.program.name, SQUAD.properties and len(SQUAD.properties.properties))
 """
 
