@@ -95,6 +95,7 @@ def agent_bundle(these: Ingredients, target: Target, text: bytes, robot: FleetRo
         "interface_hash": interface_hash(program),
         "applications": (),
         "squad": "",
+        "outer_key": "",
     }
     main = render(
         "main_agent.py", module=module, name=name, drivers=_drivers(these), properties=has_properties(program),

@@ -65,7 +65,7 @@ def plan_squads(these: Ingredients, squads: Sequence[SquadIngredients], wanted: 
     for squad in squads:
         inner = squad.inner.fleet
         for robot, (name, files) in zip(
-            inner.robots, inner_bundles(squad.inner, squad.robot.name).items(), strict=True
+            inner.robots, inner_bundles(squad.inner, squad.robot.name, fleet.key).items(), strict=True
         ):
             bundle = f"{squad.robot.name}.{name}"
             targets[bundle] = robot.target

@@ -98,7 +98,7 @@ def plan_system(these: SystemIngredients, wanted: Iterable[str]) -> dict[str, Fi
         )  # fmt: skip
     these = these_with_sizes(these)
     programs, agents = _programs(these), {t.name: t for t in these.targets if t.kind == "agent"}
-    robots = {r.name: _agent(these, agents[r.target], programs, r, "") for r in these.fleet.robots}
+    robots = {r.name: _agent(these, agents[r.target], programs, r) for r in these.fleet.robots}
     release = {RELEASE: release_of(robots)}
     chosen = set(wanted)
     built = {name: finished(files | release) for name, files in robots.items()}
@@ -241,19 +241,26 @@ def _add(files: Files, made: Files, application: str, owners: dict[str, str]) ->
         owners.setdefault(path, application)
 
 
-def inner_bundles(these: SystemIngredients, squad: str) -> dict[str, Files]:
+def inner_bundles(these: SystemIngredients, squad: str, key: str) -> dict[str, Files]:
     """Return the files of each robot of a fleet that is the robot `squad` of an outer fleet, without the outer program.
 
     A fleet with one application has the same files as one with several: the outer program is one more application.
-    Raises NamesClash.
+    `key`: name of the outer fleet's key file. Raises NamesClash.
     """
     these = these_with_sizes(these)
     programs, agents = _programs(these), {t.name: t for t in these.targets if t.kind == "agent"}
-    return {r.name: _agent(these, agents[r.target], programs, r, squad) for r in these.fleet.robots}
+    more = "" if key == these.fleet.key else key
+    return {r.name: _agent(these, agents[r.target], programs, r, squad, more) for r in these.fleet.robots}
 
 
-def _agent(these: SystemIngredients, target: Target, programs: Files, robot: FleetRobot, squad: str) -> Files:
-    """Return the files of one robot, without the release. `squad`: see inner_bundles; "" for a robot of no squad."""
+def _agent(
+    these: SystemIngredients, target: Target, programs: Files, robot: FleetRobot, squad: str = "", key: str = ""
+) -> Files:
+    """Return the files of one robot, without the release.
+
+    `squad`: the squad of the robot; "" for none. `key`: the outer fleet's key file, if it differs from that of this
+    fleet.
+    """
     module, _, name = target.entry.partition(":")
     system, fleet, hashes = these.system, these.fleet, _hashes(these)
     watched = [(a.name, module_of(a)) for a in system.applications if has_properties(a.program)]
@@ -270,6 +277,7 @@ def _agent(these: SystemIngredients, target: Target, programs: Files, robot: Fle
         "interface_hash": hashes[1],
         "applications": [a.name for a in system.applications],
         "squad": squad,
+        "outer_key": key,
     }
     main = render(
         "main_agent.py", module=module, name=name, drivers=_drivers(these, robot.pid), properties=watched,

@@ -68,23 +68,33 @@ def test_settings_of_both_levels(tmp_path: Path) -> None:
     assert [[a.port for a in peer.also] for peer in dora.peers] == [[49201, 49202], [], [49301, 49302]]
 
 
+@pytest.mark.parametrize(("inner", "outer", "said"), [("a", "b", True), ("a", "a", False), ("a", "", False)])
+def test_a_second_key_is_named(inner: str, outer: str, said: bool, tmp_path: Path) -> None:
+    path = fleet_files(tmp_path)
+    for file, key in ((path, outer), (tmp_path / "alpha.yaml", inner)):
+        file.write_text(file.read_text().replace("insecure: true", f"key: {key}.key" if key else "insecure: true"))
+    readme = planned(path)[1]["alpha.ann"]["README.md"].decode()
+    assert ("Copy the outer fleet's key\nbeside it as `b.key`." in readme) == said
+    assert "beside it as `a.key`" in readme
+
+
 def test_the_name_of_the_settings_file_is_the_runtimes() -> None:
     assert next(f.default for f in Squad.__dataclass_fields__.values() if f.name == "settings") == OUTER_SETTINGS
 
 
 LOADED = """
 import sys
+from types import SimpleNamespace
 sys.path.insert(0, sys.argv[1])
 from applications import FLEET
-from koordgen.runtime.program.program import Frame
+from koordgen.runtime.agent.squad import SensorValues
 from koordgen.runtime.values.points import Point
 from squad import SQUAD
-program = FLEET.applications[SQUAD.application].program
-shared = {"corner": (Point(1, 0, 0), Point(3, 0, 0)), "goal": Point(2, 0, 0), "reached": True}
-frame = Frame(0, 2, {}, {v.name: shared.get(v.name) for v in program.shared}, *[dict.fromkeys(
-    [p.name for p in program.ports])] * 2)
-for port, value in SQUAD.sensors.items():
-    print(port, value(program.begin(frame)))
+fleet = SQUAD.with_outer(FLEET, 3, SimpleNamespace(may_claim=None, claim=None, has_news=None, write=None))
+store = {v.name: (v.initial(),) * 3 if v.kind == "allread" else v.initial() for v in fleet.shared()}
+store |= {"shape.corner": (Point(1, 0, 0), Point(3, 0, 0), Point(2, 0, 0)), "shape.goal": Point(2, 0, 0)}
+for port, value in SensorValues(SQUAD, fleet).of(store).items():
+    print(port, value)
 print(SQUAD.application, SQUAD.actuators, SQUAD.program.name, SQUAD.properties and len(SQUAD.properties.properties))
 """
 
@@ -154,3 +164,21 @@ def test_warnings_about_inner_programs_are_kept(tmp_path: Path) -> None:
     (tmp_path / "triangle.koord").write_text(f"{TRIANGLE}{hidden}")
     checked, _ = planned(outer)
     assert [(Path(source.path).name, d.code) for source, d in checked.elsewhere] == [("triangle.koord", "K042")]
+
+
+def test_links_of_both_levels_carry_what_squads_add(tmp_path: Path) -> None:
+    outer = fleet_files(tmp_path)
+    text = outer.read_text()
+    outer.write_text(f"{text}link: {{rate: 300000, loss: 0.0}}\n")
+    planned(outer)
+    outer.write_text(f"{text}link: {{rate: 30000, loss: 0.0}}\n")
+    (found,) = errors(outer)
+    assert found.startswith("lineform.koord:7: B008 ") and "7 addresses of 3 robots x 2 senders" in found
+    outer.write_text(text)
+    alpha = (tmp_path / "alpha.yaml").read_text()
+    (tmp_path / "alpha.yaml").write_text(f"{alpha}link: {{rate: 6000000, loss: 0.0}}\n")
+    checked, _ = planned(outer)
+    assert not checked.elsewhere, "a record may need several datagrams, but seldom does"
+    (tmp_path / "alpha.yaml").write_text(f"{alpha}link: {{rate: 600000, loss: 0.0}}\n")
+    (found,) = errors(outer)
+    assert found.startswith("outer.yaml:6: B008 all applications together may send "), "the record counts"

@@ -16,6 +16,7 @@ def root(context, missing=missing):
     l_0_pid = resolve('pid')
     l_0_key = resolve('key')
     l_0_squad = resolve('squad')
+    l_0_outer_key = resolve('outer_key')
     l_0_applications = resolve('applications')
     l_0_program_hash = resolve('program_hash')
     l_0_interface_hash = resolve('interface_hash')
@@ -57,7 +58,13 @@ def root(context, missing=missing):
         yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
         yield '`; if the host is lost, another one takes its place. `outer.json` has the settings of `'
         yield str((undefined(name='squad') if l_0_squad is missing else l_0_squad))
-        yield '` for this robot.\n\n'
+        yield '` for this robot.'
+        if (undefined(name='outer_key') if l_0_outer_key is missing else l_0_outer_key):
+            pass
+            yield " Copy the outer fleet's key\nbeside it as `"
+            yield str((undefined(name='outer_key') if l_0_outer_key is missing else l_0_outer_key))
+            yield '`.'
+        yield '\n\n'
     yield '`--settings FILE` replaces entries of the settings by those of another JSON file; `--pid N` runs as another robot of the fleet.\n\n| file | content |\n|---|---|\n'
     if (undefined(name='applications') if l_0_applications is missing else l_0_applications):
         pass
@@ -87,4 +94,4 @@ def root(context, missing=missing):
     yield '. Robots with different hashes refuse one another.\nKeep away from the robot as soon as you start it: a flying robot takes off at once, even if no other robot has started, and hovers.\nAll robots run the program as soon as the whole fleet has started.\n'
 
 blocks = {}
-debug_info = '1=24&3=28&21=36&22=39&23=46&28=52&29=55&30=57&37=62&41=68&43=70&44=73&45=75&48=78&69=80&72=84'
+debug_info = '1=25&3=29&21=37&22=40&23=47&28=53&29=56&30=58&31=65&39=69&43=75&45=77&46=80&47=82&50=85&71=87&74=91'
