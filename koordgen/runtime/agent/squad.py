@@ -37,7 +37,7 @@ class HostEvents(Protocol):
 
     def claim(self, s: Transaction) -> None: ...
 
-    def has_news(self, s: Transaction) -> bool: ...
+    def has_unwritten(self, s: Transaction) -> bool: ...
 
     def write(self, s: Transaction) -> None: ...
 
@@ -91,7 +91,7 @@ class Squad:
             init=None,
             events=(
                 Event("Claim", 0, events.may_claim, events.claim),
-                Event("Write", 0, events.has_news, events.write),
+                Event("Write", 0, events.has_unwritten, events.write),
             ),
             begin=Transaction,
             file="",

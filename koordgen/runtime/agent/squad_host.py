@@ -130,7 +130,7 @@ class SquadHost:
         s.shared(RECORD).value = claimed(record, self._pid, self.around.boot)
         s.actuator(WRITTEN).value = record.version
 
-    def has_news(self, s: Transaction) -> bool:
+    def has_unwritten(self, s: Transaction) -> bool:
         record = read_record(s.shared(RECORD).value)
         store = self._store
         return store is not None and store.is_of(record) and record.version != store.version

@@ -17,7 +17,7 @@ from koordgen.runtime.values.clock import Clock
 
 
 class AgentProcess(NamedTuple):
-    """What all agents of one process share. `boot`: id of this start of the process, 8 random bytes."""
+    """Objects that all agents of one process share. `boot`: id of this start of the process, 8 random bytes."""
 
     clock: Clock
     emit: Emit

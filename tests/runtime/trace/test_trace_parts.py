@@ -17,9 +17,9 @@ import pytest
 
 from benchmarks.fixtures.fleet import Fleet, settings
 from benchmarks.fixtures.lineform import PROGRAM
-from koordgen.runtime.agent.process import _open_trace
 from koordgen.runtime.config.settings import BadSettings, load
 from koordgen.runtime.ops import doctor
+from koordgen.runtime.ops.set_up import open_trace
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.trace.parts import TraceFileParts
 from koordgen.runtime.trace.writer import Trace
@@ -179,14 +179,14 @@ def test_a_part_that_was_taken_away_is_not_missed(tmp_path: Path) -> None:
 def test_an_agent_writes_parts_and_a_device_has_none(tmp_path: Path) -> None:
     path = tmp_path / "trace.jsonl"
     for start in range(3):
-        trace = _open_trace(settings(0, 3, trace=str(path), trace_limit=1.0))
+        trace = open_trace(settings(0, 3, trace=str(path), trace_limit=1.0), print)
         trace.header(FleetProgram.alone(PROGRAM, 3), "alice", 0, 3, 0.1)
         for _ in range(300):
             trace.log(start, "info", "x" * 3000)
         trace.close()
         assert size(tmp_path) <= 1_000_000
     assert len(files(tmp_path)) >= 7
-    device = _open_trace(settings(0, 3, trace="/dev/null", trace_limit=1.0))
+    device = open_trace(settings(0, 3, trace="/dev/null", trace_limit=1.0), print)
     for _ in range(500):
         device.log(0.0, "info", "x" * 3000)
     device.close()
