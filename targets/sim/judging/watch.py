@@ -42,8 +42,7 @@ from targets.sim.judging.batch import Batch
 from targets.sim.judging.guarantees import StepGuarantees, WatchedApplication
 from targets.sim.judging.judge import JudgedProperty, Of, all_of
 from targets.sim.judging.windows import Came, Windows
-from targets.sim.run.run import Run
-from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.run_interface import AgentHandle, WatchedRun
 from targets.sim.trace.store_names import qualified_name
 from targets.sim.trace.truth import Truth
 
@@ -130,7 +129,7 @@ class Watcher:
         """Lines ("app.koord:12") of the properties that read positions of bodies."""
         return {watched.line for watched in self._watched if watched.moving}
 
-    def launched(self, run: Run) -> None:
+    def launched(self, run: WatchedRun) -> None:
         self._run = run
 
     def step(self, at: float, states: list[BodyState]) -> None:

@@ -22,7 +22,7 @@ from koordgen.runtime.agent.machine import Agent as Machine
 from koordgen.runtime.agent.records import KEPT, Acceptor, Kept, Loaded, Locals, Mission
 from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.net.layout import TooLarge
-from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue
+from koordgen.runtime.net.network import EACH, MemoryNetwork, MemoryTransport, Queue
 from koordgen.runtime.ops.set_up import programs_of
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.fleet_program import FleetProgram
@@ -34,6 +34,7 @@ from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.sim.base.bodies import DirectlyDriven
+from targets.sim.base.fleets import SimulatedFleet
 from targets.sim.base.programs import LoadedPrograms, load_programs
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.lockstep.bundle_modules import BundleModules
@@ -120,23 +121,40 @@ class TimedNetwork(MemoryNetwork):
 class Shared:
     """Objects that all agents of a run share."""
 
-    def __init__(self, scenario: Scenario, root: Path, seed: int, key: bytes, iterations: int, limit: Limit) -> None:
-        self.scenario, self.root, self.seed, self.key = scenario, root, seed, key
+    def __init__(self, root: Path, seed: int, key: bytes, iterations: int, limit: Limit) -> None:
+        self.root, self.seed, self.key = root, seed, key
         self.iterations, self.limit = iterations, limit
         self.clock = SimulatedClock()
         self.shares = TimeShares()
-        self.network = TimedNetwork(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
         self.hub = MemoryWiring()
+
+
+class LockstepFleet:
+    """Objects that all agents of one fleet share.
+
+    shared: those of the whole run. Places in `network` are those of physical robots in the whole scenario."""
+
+    def __init__(self, fleet: SimulatedFleet, shared: Shared) -> None:
+        self.fleet, self.scenario, self.shared = fleet, fleet.scenario, shared
+        seed = Random("/".join(filter(None, (str(shared.seed), "network", fleet.name)))).getrandbits(32)
+        self.network = TimedNetwork(shared.clock, seed, shared.shares)
+        self._places = EACH if fleet.is_whole else dict(enumerate(fleet.bodies))
+
+    def transport(self, place: int) -> MemoryTransport:
+        """Return a new transport for the physical robot at a place."""
+        return self.network.transport(place, self._places)
 
 
 class LockstepAgent(AgentHandle):
     """Agent handle of a robot in lockstep. After construction it is not yet launched."""
 
-    def __init__(self, robot: Robot, folder: Path, shared: Shared) -> None:
-        super().__init__(robot, folder, shared.scenario.delta)
-        self._shared = shared
+    def __init__(self, robot: Robot, folder: Path, own: LockstepFleet) -> None:
+        super().__init__(robot, folder, own.scenario.delta)
+        shared = self._shared = own.shared
+        self._fleet = own
+        self._place = own.fleet.bodies[robot.pid][0]
         self._settings_file = folder / "settings.json"
-        self._dice = Random(f"{shared.seed}/{robot.pid}/agent")
+        self._dice = Random(f"{shared.seed}/{self._place}/agent")
         self._store = MemoryStore()
         self._log: IO[str] = self.log_file.open("w", encoding="utf-8")
         self._out: TraceFile | None = None  # the trace's file
@@ -177,7 +195,7 @@ class LockstepAgent(AgentHandle):
                 whole = program.of(robot.pid) if isinstance(program, FleetProgram) else program
                 platform = self._embodied(actor, settings, whole)
                 self._platform = with_drivers(platform, whole, drivers)
-                self._transport = shared.network.transport(robot.pid)
+                self._transport = self._fleet.transport(self._place)
                 self._machine = Machine(
                     program, settings, shared.key, self._platform, shared.clock, self._transport,
                     Trace(self._out, self._warn), self._emit, self._dice.randbytes(8), self._store,  # type: ignore[arg-type]
@@ -202,7 +220,7 @@ class LockstepAgent(AgentHandle):
 
     def _loaded(self) -> tuple[LoadedPrograms, Drivers]:
         """Return programs with their properties, and drivers, of the robot's bundle."""
-        return _loaded(self._shared.scenario, self._shared.root / self.robot.bundle, self.robot.pid)
+        return _loaded(self._fleet.scenario, self._shared.root / self.robot.bundle, self.robot.pid)
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         """Return the platform of the device if it has one, otherwise that of the target."""
@@ -220,12 +238,12 @@ class LockstepAgent(AgentHandle):
         machine = self._machine
         if machine is None:
             return math.inf
-        network, pid = self._shared.network, self.robot.pid
-        arrival = network.next_arrival(pid)
+        network, place = self._fleet.network, self._place
+        arrival = network.next_arrival(place)
         due = self._wake
         if arrival < due:
             expected, gather = machine.expects
-            complete = max(network.next_arrival(pid, expected), self._polled)
+            complete = max(network.next_arrival(place, expected), self._polled)
             due = min(due, complete, max(arrival, self._polled + gather))
         return max(due, self._thawed)
 

@@ -6,6 +6,7 @@ import math
 import os
 import secrets
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -16,7 +17,7 @@ from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.realtime.relay import Relay
 from targets.sim.realtime.supervise import AgentProcess, overrides
-from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.run_interface import AgentHandle, WorldStep
 from targets.sim.run.scene import Actor, SimulationScene
 
 # Pacing of the world: computes which physics steps are due at a host time, on absolute ticks.
@@ -86,6 +87,10 @@ class RealTime:
     @property
     def agents(self) -> list[AgentProcess]:
         return self._agents
+
+    @property
+    def squads(self) -> Mapping[str, AgentHandle]:
+        return {}
 
     def scene(self) -> SimulationScene:
         return SimulationScene(self._scenario, self._seed, self._key)
