@@ -359,9 +359,11 @@ def _made(
 
     all_watchers, windows = [], None
     companions: list[Companion[Run]] = []
-    for fleet in fleets_of(scenario):
+    fleets = fleets_of(scenario)
+    for fleet in fleets:
         programs = fleet.programs(root)
-        watchers, found = _watchers(programs, fleet, None if fleet.name else options.windows, options.seed)
+        outer, wanted = len(fleets[0].names), None if fleet.name else options.windows
+        watchers, found = _watchers(programs, fleet, outer, wanted, options.seed)
         windows = windows or found
         all_watchers += watchers
         shutil.copytree(programs / SOURCE, folder / fleet.name / SOURCE)
@@ -376,14 +378,16 @@ def _made(
 
 
 def _watchers(
-    programs: Path, fleet: SimulatedFleet, windows: str | None, seed: int
+    programs: Path, fleet: SimulatedFleet, outer: int, windows: str | None, seed: int
 ) -> tuple[list[Watcher], Windows | None]:
-    """Return the watchers of a fleet's applications, and the windows of the application that `windows` names."""
+    """Return the watchers of a fleet's applications, and the windows of the application that `windows` names.
+
+    `outer`: number of robots of the outer fleet."""
     from targets.sim.judging import watch
     from targets.sim.judging.windows import Windows
 
     names, scenario = fleet.names, fleet.scenario
-    applications = watch.load_fleet(programs, len(names), [served for served, _, _ in scenario.drivers])
+    applications = watch.load_fleet(programs, len(names), [served for served, _, _ in scenario.drivers], outer)
     recorded, of = None, next((a for a in applications if a.name == windows), None)
     if of is not None:
         recorded = Windows(of.properties, scenario, seed, of.members)

@@ -19,9 +19,11 @@ from targets.sim.base.fault_state import FaultState
 from targets.sim.base.programs import LoadedPrograms
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.follow.guide import ReplayGuide, ReplayPlatform
-from targets.sim.lockstep.agent import LockstepAgent, LockstepFleet, TraceFile
+from targets.sim.lockstep.agent import LockstepAgent
 from targets.sim.lockstep.run import Lockstep
+from targets.sim.lockstep.shared import LockstepFleet
 from targets.sim.lockstep.time_shares import TimeShares
+from targets.sim.lockstep.traced import TraceFile
 from targets.sim.run.scene import Actor, SeparationMonitor, SimulationScene
 
 EVERYWHERE = 1e9  # metres; a geofence of this size never acts

@@ -20,7 +20,9 @@ from koordgen.runtime.program.runner import Interrupting
 from targets.sim.base.fleets import fleets_of
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
-from targets.sim.lockstep.agent import LockstepAgent, LockstepFleet, Shared
+from targets.sim.lockstep.agent import LockstepAgent
+from targets.sim.lockstep.shared import LockstepFleet, Shared, SquadPlace
+from targets.sim.lockstep.squads import LockstepSquad
 from targets.sim.physics.world import STEP
 from targets.sim.run.run_interface import AgentHandle, WorldStep
 from targets.sim.run.scene import SimulationScene
@@ -41,13 +43,21 @@ class Lockstep:
         key = hashlib.sha256(f"lockstep {seed}".encode()).digest()
         self._scenario, self._shared = scenario, Shared(root, seed, key, ITERATIONS, _Longest())
         self._fleets = [LockstepFleet(fleet, self._shared) for fleet in fleets_of(scenario)]
+        self._squads: dict[str, LockstepSquad] = {}
         by_place: dict[int, LockstepAgent] = {}
         for fleet in self._fleets:
             for robot, (place, *_) in zip(fleet.scenario.robots, fleet.fleet.bodies, strict=True):
-                if not fleet.fleet.is_squad(robot.pid):
-                    own = folder / "robots" / robot.name
-                    own.mkdir(parents=True)
+                own = folder / "robots" / robot.name
+                own.mkdir(parents=True)
+                if fleet.fleet.is_squad(robot.pid):
+                    self._squads[robot.name] = LockstepSquad(robot, own, fleet.scenario.delta, self._shared.shares)
+                else:
                     by_place[place] = self.resident(robot, own, fleet)
+        for fleet in self._fleets:
+            if fleet.fleet.name in self._squads:
+                handle = self._squads[fleet.fleet.name]
+                fleet.squad = SquadPlace(self._fleets[0], handle)
+                handle.consist_of([by_place[place] for place, *_ in fleet.fleet.bodies])
         self._agents = [by_place[place] for place in range(len(scenario.robots))]
         self._scene: SimulationScene | None = None
         self._steps = 0
@@ -67,7 +77,7 @@ class Lockstep:
 
     @property
     def squads(self) -> Mapping[str, AgentHandle]:
-        return {}
+        return self._squads
 
     @property
     def network(self) -> MemoryNetwork:
@@ -143,6 +153,8 @@ class Lockstep:
     def close(self) -> None:
         for agent in self._agents:
             agent.close()
+        for squad in self._squads.values():
+            squad.close()
 
 
 class _Longest:
