@@ -13,7 +13,7 @@ import msgspec
 
 from targets.sim.base.medium import Medium
 from targets.sim.base.ports import NUMBERS
-from targets.sim.base.scenario import Robot, Scenario
+from targets.sim.base.scenario import BadScenario, Robot, Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.realtime.relay import Relay
 from targets.sim.realtime.supervise import AgentProcess, overrides
@@ -66,6 +66,8 @@ class RealTime:
     `root` is the sim bundle; `folder` receives the key and a folder for each robot."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
+        if scenario.fleets:
+            raise BadScenario("fleets with squads cannot run in real time", "add --lockstep")
         self._scenario, self._root, self._seed = scenario, root, seed
         self._key_file = folder / "fleet.key"
         self._key = secrets.token_bytes(32)
