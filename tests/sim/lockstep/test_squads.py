@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +78,24 @@ def test_commands_of_the_outer_robot_reach_the_inner_store_from_each_host(run: P
     written = [r for r in records(run / "beta" / "trace.jsonl", Round) if "triangle.goal" in r.shared]
     assert {r.pid for r in written} == {0, 1}, "the first host and the second one"
     assert [bytes(r.shared["triangle.goal"]) for r in written][-1] in [bytes(command) for command in commands[-3:]]
+
+
+@pytest.mark.parametrize("fleet", ["", "alpha", "beta"])
+def test_each_trace_is_replayed_and_audited_by_its_own_program(run: Path, fleet: str) -> None:
+    assert main(["replay", str(run / fleet)]) == 0
+    assert main(["audit", str(run / fleet)]) == 0
+
+
+def test_a_replay_finds_a_command_that_no_host_wrote(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(run / "alpha" / "source", tmp_path / "source")
+    lines = (run / "alpha" / "trace.jsonl").read_text().splitlines()
+    (number,) = [k for k, line in enumerate(lines) if '"event":"Write"' in line and '"goal":' in line][-1:]
+    lines[number] = re.sub(r'("shared":.*"goal":)\[[^]]*\]', r"\1[0,0,0]", lines[number])
+    (tmp_path / "trace.jsonl").write_text("".join(f"{line}\n" for line in lines))
+    assert main(["replay", str(tmp_path)]) == 3
+    assert "application triangle: copy of goal is" in capsys.readouterr().err
 
 
 @pytest.mark.slow
