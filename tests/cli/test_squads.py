@@ -1,4 +1,4 @@
-"""Fleet files with squads on the command line: check, build, prove and sim take them, and other commands refuse them."""
+"""Fleet files with squads on the command line: check, build, prove and sim take them, other commands refuse them."""
 
 from __future__ import annotations
 

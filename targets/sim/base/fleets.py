@@ -27,11 +27,13 @@ class SimulatedFleet:
     name: "" for the only fleet and for the outer fleet; otherwise the squad that the fleet is.
     scenario: scenario of this fleet alone. Its robots have the pids of the fleet, and the names of the whole scenario.
     bodies: robot by pid -> places of its physical robots in the whole scenario; a squad has several.
+    members: pid of a squad, name of one of its robots in its own fleet, and the robot's place; of all squads.
     """
 
     name: str
     scenario: Scenario
     bodies: tuple[tuple[int, ...], ...]
+    members: tuple[tuple[int, str, int], ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -90,16 +92,20 @@ def _physical(described: FleetDescription) -> list[int]:
 def _fleet(scenario: Scenario, described: FleetDescription, squads: dict[str, tuple[int, ...]]) -> SimulatedFleet:
     robots: list[Robot] = []
     bodies: list[tuple[int, ...]] = []
+    members: list[tuple[int, str, int]] = []
     for pid, member in enumerate(described.members):
         if isinstance(member, str):
             bodies.append(squads[member])
+            members += [(pid, scenario.robots[b].name.removeprefix(f"{member}."), b) for b in squads[member]]
             start = Start(_middle([scenario.robots[body].start.position for body in squads[member]]))
             robots.append(Robot(member, pid, SQUAD, "", "", "", start))
         else:
             bodies.append((member,))
             robots.append(replace(scenario.robots[member], pid=pid))
     own = {field: getattr(described, field) for field in OF_FLEET}
-    return SimulatedFleet(described.name, replace(scenario, robots=tuple(robots), fleets=(), **own), tuple(bodies))
+    return SimulatedFleet(
+        described.name, replace(scenario, robots=tuple(robots), fleets=(), **own), tuple(bodies), tuple(members)
+    )
 
 
 def _mean(states: Sequence[BodyState]) -> BodyState:

@@ -239,7 +239,8 @@ class Run:
         states = self.scene.step(at)
         if self._steps % self._pose_every == 0:
             for fleet, poses in self._poses:
-                poses.write(at, fleet.states(states))
+                members = [(pid, name, states[place]) for pid, name, place in fleet.members]
+                poses.write(at, fleet.states(states), members)
         self._steps += 1
         for companion in self.companions:
             companion.step(at, states)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime.trace.schema import PoseRecord, Round
+from koordgen.runtime.trace.schema import MemberPose, PoseRecord, Round
 from targets.sim.harness import main as simulate
 from targets.sim.trace.files import read
 from tests.build.squad_files import LINEFORM, OUTER, fleet_files
@@ -59,6 +59,8 @@ def test_a_squad_is_one_robot_in_the_trace_of_the_outer_fleet(run: Path) -> None
     last = [r.position for r in records(run / "alpha" / "trace.jsonl", PoseRecord)[-3:]]
     middle = [sum(axis) / 3 for axis in zip(*last, strict=True)]
     assert list(squad[max(squad)]) == pytest.approx(middle, abs=1e-4)
+    members = [r for r in records(run / "trace.jsonl", MemberPose) if r.pid == 0][-3:]
+    assert [(r.member, r.position) for r in members] == list(zip(("ann", "bob", "cyd"), last, strict=True))
 
 
 def test_the_outer_robot_goes_on_when_its_host_dies(run: Path) -> None:
