@@ -19,6 +19,7 @@ from koordgen.runtime.config.settings import Settings
 ROOT = Path(__file__).parents[1]
 LINEFORM = ROOT / "examples/lineform/lineform.koord"
 COMPOSED = ("survey",)  # examples whose programs import from one another, so that a fleet file names all of them
+SQUADS = "squads"  # example whose program takes the commands of an outer program
 
 # Beginning of a fleet file with a quad and a car; the entries of `applications` follow.
 QUAD_AND_CAR = """\
@@ -35,7 +36,7 @@ applications:
 
 def programs_alone() -> list[Path]:
     """Return the programs of all examples that run alone."""
-    return sorted(path for path in ROOT.glob("examples/*/*.koord") if path.parent.name not in COMPOSED)
+    return sorted(path for path in ROOT.glob("examples/*/*.koord") if path.parent.name not in (*COMPOSED, SQUADS))
 
 
 def fleet_of(target: str, size: int = 2) -> Fleet:

@@ -216,10 +216,6 @@ def _plan_squads(
     from koordgen.build.bundle.squad_budget import with_outer
 
     assert these.fleet is not None
-    for target in these.targets:
-        if target.kind == "harness" and target.name in wanted:
-            message = f"{these.fleet.squads[0].name} is a fleet itself, which the target {target.name} does not support"
-            raise Rejected([_of_squad(source, these.fleet.squads[0], message, _SUPPORT)])
     notes, squads = dict[object, tuple[Source, Diagnostic]](), []
     for squad, checked in zip(these.fleet.squads, inner, strict=True):
         assert squad.inner is not None

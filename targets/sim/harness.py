@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from koordgen.runtime.ops.host import install_requirements, pip_install
+from targets.sim.base.fleets import SimulatedFleet, fleets_of
 from targets.sim.base.folder import GIVEN, SOURCE, ForeignFolder, RunFolder
 from targets.sim.base.scenario import FILE, BadScenario, Scenario, load
 from targets.sim.base.schedule import CONDITIONS, DURATION, MOST_DELAY, PROBABILITIES, Schedule
@@ -34,10 +35,11 @@ if TYPE_CHECKING:
     from koordgen.runtime.trace.schema import Header
     from targets.sim.follow.guide import ReplayGuide
     from targets.sim.follow.plan import ReplayPlan
+    from targets.sim.judging.summary import Summary
     from targets.sim.judging.watch import Watcher
     from targets.sim.judging.windows import Windows
     from targets.sim.run.progress import Progress
-    from targets.sim.run.run import Run, RunResult
+    from targets.sim.run.run import Companion, Run, RunResult
     from targets.sim.view.foxglove.stream import Streamed
     from targets.sim.view.web.control import ManualFaults
     from targets.sim.view.web.live import Live, PaceLimit
@@ -74,10 +76,10 @@ def main(root: Path, argv: list[str] | None = None) -> int:
 
         # Start the views first: if one fails, the results of an earlier run must survive.
         offer = {"lockstep": options.lockstep, "faults": plan is None}
-        header = _header(scenario, plan, options)
+        header = _header(fleets_of(scenario)[0], plan, options)
         with (
             live.watched(header, options.live, offer) as view, stream.streamed(header, options.foxglove) as streamed,
-            RunFolder(out) as folder,
+            RunFolder(out, [fleet.name for fleet in scenario.fleets[1:]]) as folder,
         ):  # fmt: skip
             if told is not None:
                 (folder / "faults.json").write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
@@ -263,14 +265,12 @@ def _run(
     options: argparse.Namespace,
     views: tuple[Live | None, Streamed | None],
 ) -> int:  # fmt: skip
-    import msgspec
-
     from targets.sim.judging import summary
     from targets.sim.judging.host_load import HostLoad
+    from targets.sim.run.fleet_run import FleetRun
     from targets.sim.run.progress import Progress
-    from targets.sim.trace import files as trace
 
-    header, view = _header(scenario, plan, options), views[0]
+    view = views[0]
     progress = Progress(sys.stderr, options.quiet, free=options.lockstep)
     windows, guide = None, None
     if plan is not None:
@@ -287,11 +287,12 @@ def _run(
         progress.finish()
     if load is not None:
         result.marks, result.host_waits = load.explained(result.marks, result.zero), load.totals
-    merged, agents = folder / "trace.jsonl", [agent.trace_file for agent in run.conduct.agents]
-    header = msgspec.structs.replace(header, started=result.started)
-    trace.merge(merged, header, result.zero, run.poses_file, agents, result.marks)
-    run.poses_file.unlink()
-    found = summary.summarise(*trace.read(merged), result)
+    found = _summarised(run, run.fleets[0], result, _header(run.fleets[0], plan, options))
+    for each in run.companions:
+        if isinstance(each, FleetRun) and each.fleet.name:
+            inner = _summarised(run, each.fleet, each.result(result), _header(each.fleet, plan, options))
+            summary.write(inner, folder / each.fleet.name)
+            summary.add_fleet(found, each.fleet.name, inner)
     watched = sum(each.seconds for each in watchers)
     found.watching = round(watched / (time.perf_counter() - began), 4)
     if windows is not None:
@@ -303,7 +304,8 @@ def _run(
     left = folder if options.no_report else folder / "report.html"
     if not options.no_report:
         progress.step("drawing the report")
-        _report(folder)
+        for fleet in run.fleets:
+            _report(folder / fleet.name)
     if view:
         view.close(f"{summary.headline(found)}: {found.why}. The report: {left.resolve()}")
     _print(summary.as_text(found))
@@ -349,26 +351,61 @@ def _made(
     root: Path, scenario: Scenario, folder: Path, options: argparse.Namespace, progress: Progress
 ) -> tuple[Run, list[Watcher], Windows | None]:
     """Return the run with its companions, ready to execute."""
-    from targets.sim.judging import watch
     from targets.sim.judging.idle import IDLE_TIMEOUT, Idle
-    from targets.sim.judging.windows import Windows
     from targets.sim.lockstep.run import Lockstep
     from targets.sim.realtime.realtime import RealTime
+    from targets.sim.run.fleet_run import FleetRun
     from targets.sim.run.run import Run
 
-    robots = tuple(robot.name for robot in scenario.robots)
-    applications = watch.load_fleet(root, len(robots), [served for served, _, _ in scenario.drivers])
-    windows, of = None, next((a for a in applications if a.name == options.windows), None)
-    if of is not None:
-        windows = Windows(of.properties, scenario, options.seed, of.members)
-    watchers = [
-        watch.Watcher(a.properties, robots, scenario.delta, windows if a is of else None, a) for a in applications
-    ]
-    shutil.copytree(root / SOURCE, folder / SOURCE)
+    all_watchers, windows = [], None
+    companions: list[Companion[Run]] = []
+    fleets = fleets_of(scenario)
+    for fleet in fleets:
+        programs = fleet.programs(root)
+        outer, wanted = len(fleets[0].names), None if fleet.name else options.windows
+        watchers, found = _watchers(programs, fleet, outer, wanted, options.seed)
+        windows = windows or found
+        all_watchers += watchers
+        shutil.copytree(programs / SOURCE, folder / fleet.name / SOURCE)
+        beside: list[Any] = list(watchers)
+        if not fleet.name:
+            beside.append(Idle(fleet.names, scenario.number("idle_timeout", IDLE_TIMEOUT)))
+        companions += [FleetRun(fleet, beside)] if scenario.fleets else beside
     conduct = Lockstep if options.lockstep else RealTime
     run = Run(scenario, conduct(scenario, root, folder, options.seed), folder, options.duration, progress)
-    run.companions += [*watchers, Idle(robots, scenario.number("idle_timeout", IDLE_TIMEOUT))]
-    return run, watchers, windows
+    run.companions += companions
+    return run, all_watchers, windows
+
+
+def _watchers(
+    programs: Path, fleet: SimulatedFleet, outer: int, windows: str | None, seed: int
+) -> tuple[list[Watcher], Windows | None]:
+    """Return the watchers of a fleet's applications, and the windows of the application that `windows` names.
+
+    `outer`: number of robots of the outer fleet."""
+    from targets.sim.judging import watch
+    from targets.sim.judging.windows import Windows
+
+    names, scenario = fleet.names, fleet.scenario
+    applications = watch.load_fleet(programs, len(names), [served for served, _, _ in scenario.drivers], outer)
+    recorded, of = None, next((a for a in applications if a.name == windows), None)
+    if of is not None:
+        recorded = Windows(of.properties, scenario, seed, of.members)
+    found = [watch.Watcher(a.properties, names, scenario.delta, recorded if a is of else None, a) for a in applications]
+    return found, recorded
+
+
+def _summarised(run: Run, fleet: SimulatedFleet, result: RunResult, header: Header) -> Summary:
+    """Write the merged trace of a fleet. Return its summary. `result`: that of the fleet."""
+    from targets.sim.judging import summary
+    from targets.sim.run.run import poses_file
+    from targets.sim.trace import files as trace
+
+    merged, poses = run.folder / fleet.name / "trace.jsonl", poses_file(run.folder, fleet)
+    agents = [agent.trace_file for agent in run.agents_of(fleet)]
+    trace.merge(merged, replace(header, started=result.started), result.zero, poses, agents, result.marks)
+    poses.unlink()
+    return summary.summarise(*trace.read(merged), result)
 
 
 def _steered(
@@ -392,13 +429,14 @@ def _steered(
     return None, paced
 
 
-def _header(scenario: Scenario, plan: ReplayPlan | None, options: argparse.Namespace) -> Header:
-    """Return the header of the merged trace, assuming that round 1 begins."""
+def _header(fleet: SimulatedFleet, plan: ReplayPlan | None, options: argparse.Namespace) -> Header:
+    """Return the header of the merged trace of a fleet, assuming that round 1 begins."""
     from msgspec import UNSET
 
     from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
 
-    names = tuple(RobotName(r.name, r.pid, r.target) for r in scenario.robots)
+    scenario = fleet.scenario
+    names = tuple(RobotName(fleet.own_name(r.name), r.pid, r.target) for r in scenario.robots)
     applications = tuple(each.name for each in scenario.applications) or (scenario.app,)
     return Header(
         FORMAT, scenario.app, scenario.program_hash, scenario.delta, options.seed, names, options.duration, True,

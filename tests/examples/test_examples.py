@@ -37,10 +37,17 @@ def commands(text: str) -> list[list[str]]:
 
 
 ALONE = {"hello"}  # runs without a fleet file
+OTHERS = {"squads": "lineform"}  # examples with a fleet file for the program of another example
 
 
-def test_all_fourteen_are_here() -> None:
-    assert len(NAMES) == 14
+def program_of(name: str) -> str:
+    """Return the path of an example's program, relative to the folder of all examples."""
+    of = OTHERS.get(name, name)
+    return f"{of}/{of}.koord"
+
+
+def test_all_fifteen_are_here() -> None:
+    assert len(NAMES) == 15
     assert {name for name in NAMES if not (EXAMPLES / name / "fleet.yaml").exists()} == ALONE
 
 
@@ -49,13 +56,14 @@ def test_it_checks_without_a_word(name: str) -> None:
     if name in COMPOSED:
         assert all(part.diagnostics == () for part in check_system(str(EXAMPLES / name / "fleet.yaml")).parts)
         return
-    assert check_file(str(EXAMPLES / name / f"{name}.koord")).diagnostics == ()
+    for path in (EXAMPLES / name).glob("*.koord") if name in OTHERS else [EXAMPLES / program_of(name)]:
+        assert check_file(str(path)).diagnostics == ()
 
 
 @each
 def test_it_is_in_the_one_style(name: str) -> None:
-    main = EXAMPLES / name / f"{name}.koord"
-    for path in [main] if name not in COMPOSED else sorted((EXAMPLES / name).glob("*.koord")):
+    main = EXAMPLES / program_of(name)
+    for path in [main] if name not in (*COMPOSED, *OTHERS) else sorted((EXAMPLES / name).glob("*.koord")):
         result = format_file(str(path), None, write=False)
         assert result.after == result.before
 
@@ -72,7 +80,7 @@ def test_the_commands_of_its_readme(
         return
     build, sim, *others = commands(readme(name))
     folder = f"examples/{name}"
-    program = [f"{folder}/{name}.koord", "--fleet", f"{folder}/fleet.yaml"]
+    program = [f"examples/{program_of(name)}", "--fleet", f"{folder}/fleet.yaml"]
     if name in COMPOSED:
         program = program[2:]
     assert build[:3] == ["koordgen", "build", program[0]] and build[-2:] == ["-o", "build"]
@@ -84,8 +92,11 @@ def test_the_commands_of_its_readme(
     assert told.err == "", "building it warns"
     _, _, listed = (EXAMPLES / name / "fleet.yaml").read_text().partition("\nrobots:")
     robots = re.findall(r"^ *- name: (\w+)$", listed, re.MULTILINE)
+    if name in OTHERS:
+        robots += ["alpha.ann", "beta.cleo"]
     module = "applications.py" if name in COMPOSED else "program.py"
-    assert robots and all((tmp_path / name / robot / module).exists() for robot in robots)
+    made = tmp_path / OTHERS.get(name, name)
+    assert robots and all((made / robot / module).exists() for robot in robots)
 
 
 @each
@@ -114,7 +125,8 @@ def test_the_page_shows_pictures_that_are_there() -> None:
 
 SECONDS = {
     "atomicsum": 5, "crossing": 45, "delivery": 90, "election": 5, "follow": 15, "formation": 20, "hello": 15,
-    "hvac": 10, "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "survey": 240, "task": 120,
+    "hvac": 10, "lineform": 15, "mapping": 60, "patrol": 20, "rendezvous": 25, "squads": 30, "survey": 240,
+    "task": 120,
 }  # fmt: skip
 ENDS = {"atomicsum", "crossing", "delivery", "election", "hello", "mapping", "rendezvous", "survey", "task"}
 
@@ -125,11 +137,11 @@ def test_it_runs_in_the_simulator(name: str, tmp_path: Path) -> None:
     """The run holds; programs that stop do so within the given time."""
     folder = EXAMPLES / name
     command = [sys.executable, "-m", "koordgen", "sim"]
-    command += [str(folder / ("fleet.yaml" if name in COMPOSED else f"{name}.koord"))]
+    command += [str(folder / "fleet.yaml" if name in COMPOSED else EXAMPLES / program_of(name))]
     command += [] if name in ALONE or name in COMPOSED else ["--fleet", str(folder / "fleet.yaml")]
     command += ["--duration", str(SECONDS[name]), "--seed", "3", "--lockstep"]
     command += ["--out", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"{'mapping+task' if name in COMPOSED else name}: HELD" in done.stdout
+    assert f"{'mapping+task' if name in COMPOSED else OTHERS.get(name, name)}: HELD" in done.stdout
     assert ("all robots ended by themselves" in done.stdout) == (name in ENDS)

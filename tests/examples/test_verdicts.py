@@ -1,4 +1,4 @@
-"""Verdict scripts of Task, Mapping, Formation and the survey: each fault is found, and correct runs pass."""
+"""Verdict scripts of Task, Mapping, Formation, survey and squads: each fault is found, and correct runs pass."""
 
 from __future__ import annotations
 
@@ -198,7 +198,43 @@ def test_survey_a_wrong_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert found == 3 and "1 cells contradict the truth: at 6.0 s cell (0, 3) is occupied" in told[0]
 
 
-@pytest.mark.parametrize("name", ["task", "mapping", "formation", "survey"])
+def triangle(x: float, y: float, off: float = 0.0) -> Records:
+    """Poses of a squad's quads around a place, the first of which is off its corner; then the mission's end."""
+    places = [(x + 0.6 * math.cos(k * 2 * math.pi / 3), y + 0.6 * math.sin(k * 2 * math.pi / 3)) for k in range(3)]
+    places[0] = places[0][0] + off, places[0][1]
+    found = [{"kind": "pose", "t": 20.0, "pid": pid, "position": [*place, 1.5]} for pid, place in enumerate(places)]
+    return [*found, {"kind": "end", "t": 21.0}]
+
+
+@pytest.mark.parametrize(
+    ("beta", "off", "verdict", "said"),
+    [
+        ((0.1, 0.1), 0.1, "held", ""),
+        ((0.0, 0.4), 0.0, "held", "beta off the line at the end; beta off the middle at the end"),
+        ((0.4, 0.0), 0.0, "held", "beta off the middle at the end"),
+        ((0.0, 0.0), 0.3, "held", "alpha's quads off their corners"),
+        ((0.0, 0.0), 0.0, "violated", "the run itself: violated, because"),
+    ],
+)
+def test_squads(
+    beta: tuple[float, float], off: float, verdict: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ends = [(-4.0, 0.0), beta, (4.0, 0.0)]
+    starts = [ends[0], (0.0, -3.0), ends[2]]
+    poses = [
+        {"kind": "pose", "t": t, "pid": pid, "position": [*place, 0.0]}
+        for t, places in ((0.0, starts), (20.0, ends))
+        for pid, place in enumerate(places)
+    ]
+    for squad, own in (("alpha", triangle(-4.0, 0.0, off)), ("beta", triangle(*beta))):
+        (tmp_path / squad).mkdir()
+        (tmp_path / squad / "trace.jsonl").write_text("".join(json.dumps(record) + "\n" for record in own))
+    records = [*poses, {"kind": "end", "t": 21.0}]
+    status, told = judged("squads", tmp_path, records, capsys, verdict=verdict, why="because")
+    assert (status, told[-1].partition(": NO: ")[2]) == (3 if said else 0, said), told
+
+
+@pytest.mark.parametrize("name", ["task", "mapping", "formation", "survey", "squads"])
 def test_files_that_cannot_be_used_are_told(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert script(name).main([str(tmp_path)]) == 1 and "No such file" in capsys.readouterr().err
     (tmp_path / "summary.json").write_text("{")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
@@ -158,8 +158,18 @@ def _drivers(these: Ingredients) -> list[tuple[str, str, str]]:
 
 def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, Files]) -> Files:
     program, fleet = these.program, these.fleet
+    own = harness_files(these, text)
+    if fleet is not None:
+        own["scenario.json"] = as_json(_scenario(these, fleet, target))
+    robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
+    return harness_bundle(these, target, robots, own, agents, program.name, program.path)
+
+
+def harness_files(these: Ingredients, text: bytes) -> Files:
+    """Return the files of the program in the bundle of a harness. `text`: the generated program."""
+    program = these.program
     functions = f"{functions_module(program)}.py"
-    own = {
+    return {
         **{path: data for path, data in these.beside.items() if path == functions},
         "program.py": text,
         **_properties(these),
@@ -167,9 +177,6 @@ def _harness(these: Ingredients, target: Target, text: bytes, agents: dict[str, 
         f"{SOURCE}/{PARAMS}": as_json(dict(these.params)),
         **{f"{SOURCE}/{path}": data for path, data in these.beside.items() if path == functions},
     }
-    if fleet is not None:
-        own["scenario.json"] = as_json(_scenario(these, fleet, target))
-    return harness_bundle(these, target, fleet, own, agents, program.name, program.path)
 
 
 class HarnessIngredients(Protocol):
@@ -186,7 +193,7 @@ class HarnessIngredients(Protocol):
 def harness_bundle(
     these: HarnessIngredients,
     target: Target,
-    fleet: Fleet | None,
+    robots: Sequence[tuple[str, str]],
     own: Files,
     agents: dict[str, Files],
     app: str,
@@ -194,10 +201,10 @@ def harness_bundle(
 ) -> Files:
     """Return the bundle of a harness, which contains the bundles of all robots.
 
-    `own`: files of the programs, and the scenario. `app`, `source`: names of the program and its file, for people.
+    `robots`: name and target of each robot. `own`: files of the programs, and the scenario. `app`, `source`: names of
+    the program and its file, for people.
     """
     module, _, name = target.entry.partition(":")
-    robots = [(r.name, r.target) for r in fleet.robots] if fleet else []
     files = {
         **these.common,
         **these.target_files[target.name],
@@ -290,46 +297,57 @@ def settings_of(app: str, fleet: Fleet, robot: FleetRobot, budget: float) -> dic
 
 
 def _scenario(these: Ingredients, fleet: Fleet, harness: Target) -> dict[str, Any]:
-    program, facts = these.program, program_facts(these, fleet)
-    return scenario_of(facts, program.path, store_facts(program), _drivers(these), fleet, harness, these.targets)
+    robots = [scenario_robot(robot, robot.name, robot.pid, harness, these.targets) for robot in fleet.robots]
+    return scenario_of(described(these, fleet), fleet, harness, robots)
+
+
+def described(these: Ingredients, fleet: Fleet) -> dict[str, Any]:
+    """Return what a scenario says of a fleet with one program, except for its robots."""
+    store = {**store_facts(these.program), "drivers": _drivers(these)}
+    return described_by(program_facts(these, fleet), these.program.path, store)
+
+
+def described_by(facts: Mapping[str, Any], source: str, store: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a scenario says of a fleet, except for its robots.
+
+    `facts`: see `facts_of`. `source`: files of the programs, for people. `store`: see `store_facts`, and the module of
+    a program, the Python module and the class of each driver.
+    """
+    own = {k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")}
+    return {"app": facts["app"], "source": source, **own, **store}
 
 
 def scenario_of(
-    facts: Mapping[str, Any],
-    source: str,
-    store: Mapping[str, Any],
-    drivers: list[tuple[str, str, str]],
-    fleet: Fleet,
-    harness: Target,
-    targets: Iterable[Target],
+    described: Mapping[str, Any], fleet: Fleet, harness: Target, robots: list[dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the content of a harness's `scenario.json`.
 
-    `facts`: see `facts_of`. `source`: files of the programs, for people. `store`: see `store_facts`. `drivers`: module
-    of a program, Python module and class of each driver.
+    `described`: see described_by. `robots`: see scenario_robot.
     """
-    by_name = {t.name: t for t in targets}
+    of_world = ("app", "source", "program_hash", "application_id", "delta", "origin", "geofence", "obstacles")
     return {
-        "app": facts["app"],
-        "source": source,
-        **{k: facts[k] for k in ("program_hash", "application_id", "delta", "origin", "geofence", "obstacles")},
+        **{key: described[key] for key in of_world},
         "world": fleet.world.facts,
-        **store,
-        "drivers": drivers,
+        **{key: value for key, value in described.items() if key not in of_world},
         "harness": fleet.harness.get(harness.name) or {k: s.default for k, s in harness.settings.items()},
-        "robots": [
-            {
-                "name": r.name,
-                "pid": r.pid,
-                "target": r.target,
-                "bundle": f"agents/{r.name}",
-                **by_name[r.target].simulation,
-                "start": r.start,
-                "settings": r.settings,
-                harness.name: r.harness.get(harness.name, {}),
-            }
-            for r in fleet.robots
-        ],
+        "robots": robots,
+    }
+
+
+def scenario_robot(
+    robot: FleetRobot, name: str, place: int, harness: Target, targets: Iterable[Target]
+) -> dict[str, Any]:
+    """Return what a scenario says of a physical robot. `name`, `place`: its name and its number in the scenario."""
+    simulation = next(target.simulation for target in targets if target.name == robot.target)
+    return {
+        "name": name,
+        "pid": place,
+        "target": robot.target,
+        "bundle": f"agents/{name}",
+        **simulation,
+        "start": robot.start,
+        "settings": robot.settings,
+        harness.name: robot.harness.get(harness.name, {}),
     }
 
 

@@ -23,6 +23,7 @@ from koordgen.build.bundle.plan import (
     text_of,
 )
 from koordgen.build.bundle.plan_system import NamesClash, SystemIngredients, inner_bundles
+from koordgen.build.bundle.squads_harness import HarnessSquad, squads_harness
 from koordgen.build.emit.expr import literal
 from koordgen.build.emit.names import Names
 from koordgen.build.emit.property import has_properties
@@ -55,7 +56,8 @@ class SquadIngredients(Node):
 def plan_squads(these: Ingredients, squads: Sequence[SquadIngredients], wanted: Iterable[str]) -> dict[str, Files]:
     """Return bundle name -> relative path -> bytes: `fleet`, and a bundle for each robot whose target is `wanted`.
 
-    The name of an inner robot's bundle is `SQUAD.ROBOT`. `these`: of the outer program. Raises NamesClash."""
+    Each harness in `wanted` has a bundle, too. The name of an inner robot's bundle is `SQUAD.ROBOT`. `these`: of the
+    outer program. Raises NamesClash."""
     fleet, text, chosen = these.fleet, text_of(these), set(wanted)
     assert fleet is not None
     agents = {t.name: t for t in these.targets}
@@ -77,7 +79,23 @@ def plan_squads(these: Ingredients, squads: Sequence[SquadIngredients], wanted: 
     ]
     facts = {**program_facts(these, fleet), "squads": members}
     bundles["fleet"] = finished({"fleet.json": as_json(facts)} | release)
+    for target in these.targets:
+        if target.kind == "harness" and target.name in chosen:
+            built = {name: finished(files | release) for name, files in parts.items()}
+            in_harness = [_in_harness(these.program, squad) for squad in squads]
+            bundles[target.name] = squads_harness(these, target, text, in_harness, built)
     return bundles
+
+
+def _in_harness(outer: Program, squad: SquadIngredients) -> HarnessSquad:
+    system = squad.inner.system
+    commanded = [
+        each.value.name
+        for _, each in used_ports(outer, system.applications[squad.provider].program)
+        if each.port.direction == "actuator" and isinstance(each.value, SharedRead)
+    ]
+    stored = {v: f"{system.applications[system.owner(squad.provider, v)].name}.{v}" for v in commanded}
+    return HarnessSquad(squad.robot.name, squad.inner, squad_text(outer, squad), stored)
 
 
 def _joined(inner: Files, outer: Files, squad: str) -> Files:

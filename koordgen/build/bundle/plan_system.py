@@ -18,6 +18,7 @@ from koordgen.build.bundle.plan import (
     Files,
     Ingredients,
     as_json,
+    described_by,
     facts_of,
     finished,
     harness_bundle,
@@ -26,6 +27,7 @@ from koordgen.build.bundle.plan import (
     release_of,
     requirements,
     scenario_of,
+    scenario_robot,
     settings_of,
 )
 from koordgen.build.bundle.port_calls import LONGEST, check_calls, planner_budget
@@ -128,16 +130,34 @@ def without_application(fleet: Fleet, application: str) -> Fleet:
 
 def _harness(these: SystemIngredients, target: Target, programs: Files, agents: dict[str, Files]) -> Files:
     system, fleet = these.system, these.fleet
-    drivers = {driver: None for robot in fleet.robots for driver in _drivers(these, robot.pid)}
-    source = ", ".join(dict.fromkeys(a.program.path for a in system.applications))
-    facts = facts_of(_app(system), _hashes(these), fleet)
-    scenario = scenario_of(facts, source, _store_facts(system), list(drivers), fleet, target, these.targets)
-    own = {**programs, "scenario.json": as_json(scenario)}
-    for application, part in zip(system.applications, these.parts, strict=True):
+    robots = [scenario_robot(robot, robot.name, robot.pid, target, these.targets) for robot in fleet.robots]
+    scenario = scenario_of(_described(these), fleet, target, robots)
+    own = {**_harness_files(these, programs), "scenario.json": as_json(scenario)}
+    named = [(r.name, r.target) for r in fleet.robots]
+    return harness_bundle(these, target, named, own, agents, _app(system), _source(system))
+
+
+def _source(system: System) -> str:
+    """Return the files of all programs, for people."""
+    return ", ".join(dict.fromkeys(a.program.path for a in system.applications))
+
+
+def _harness_files(these: SystemIngredients, programs: Files) -> Files:
+    """Return the files of all applications in the bundle of a harness."""
+    own = dict(programs)
+    for application, part in zip(these.system.applications, these.parts, strict=True):
         functions = f"{functions_module(application.program)}.py"
         if functions in part.beside:
             own[f"{SOURCE}/{application.name}/{functions}"] = part.beside[functions]
-    return harness_bundle(these, target, fleet, own, agents, _app(system), source)
+    return own
+
+
+def _described(these: SystemIngredients) -> dict[str, Any]:
+    """Return what a scenario says of the fleet, except for its robots."""
+    drivers = {driver: None for robot in these.fleet.robots for driver in _drivers(these, robot.pid)}
+    store = {**_store_facts(these.system), "drivers": list(drivers)}
+    facts = facts_of(_app(these.system), _hashes(these), these.fleet)
+    return described_by(facts, _source(these.system), store)
 
 
 def _store_facts(system: System) -> dict[str, Any]:
@@ -251,6 +271,12 @@ def inner_bundles(these: SystemIngredients, squad: str, key: str) -> dict[str, F
     programs, agents = _programs(these), {t.name: t for t in these.targets if t.kind == "agent"}
     more = "" if key == these.fleet.key else key
     return {r.name: _agent(these, agents[r.target], programs, r, squad, more) for r in these.fleet.robots}
+
+
+def inner_harness(these: SystemIngredients) -> tuple[Files, dict[str, Any]]:
+    """Return what the bundle of a harness has of a squad's fleet: its files, and what the scenario says of it."""
+    these = these_with_sizes(these)
+    return _harness_files(these, _programs(these)), _described(these)
 
 
 def _agent(

@@ -40,17 +40,26 @@ def with_outer(
     `provider`: number of the application that provides the modules. `robots`: number of outer robots. `ports`: what the
     inner program provides of the ports that the outer program uses. `span`: the squad's place in the outer fleet file.
     """
-    providing = system.applications[provider]
     commanded = [p.value.name for p in ports if p.port.direction == "actuator" and isinstance(p.value, SharedRead)]
-    taking = [replace(v, span=span) for v in providing.program.shared if v.name in commanded]
     capacity = record_capacity(outer, robots) + 1  # a value of an extern type takes one byte more than a string
+    return with_host(system, provider, commanded, capacity, outer.path, span)
+
+
+def with_host(system: System, provider: int, commanded: Sequence[str], capacity: int, path: str, span: Span) -> System:
+    """Return an inner system with an application that hosts an outer program, numbered last.
+
+    `commanded`: variables of the providing program that the outer program writes. `capacity`: of the record, in bytes.
+    `path`: file of the outer program. Other parameters: see with_outer.
+    """
+    providing = system.applications[provider]
+    taking = [replace(v, span=span) for v in providing.program.shared if v.name in commanded]
     record = Shared(RECORD, "allwrite", Sized("string", capacity), Const("", Sized("string", 0), span), span)
     written = [record, *taking]
     effect = tuple([Assign(SharedPlace(v.name), SharedRead(v.name, v.type, span), span) for v in written])
     names = tuple([v.name for v in taking])
     imported = Import(_SQUAD, names, (), names, (), span)
     program = Program(
-        name=OUTER, path=outer.path, records=(), extern_types=(), functions=(), externs=(), specs=(),
+        name=OUTER, path=path, records=(), extern_types=(), functions=(), externs=(), specs=(),
         params=(Param(imported.size, INT, Const(1, INT, span), span),), modules=(), shared=tuple(written),
         locals=(Local(imported.pid, INT, Const(0, INT, span), span),), locks=(), init=(),
         events=(Event("Write", Const(True, BOOL, span), effect, None, None, span),), properties=(), imports=(imported,),

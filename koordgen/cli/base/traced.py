@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from koordgen.cli.base.building import params
 from koordgen.cli.base.console import USAGE, WRONG, Failure
 from koordgen.lang.ir.decl import Program
+from koordgen.lang.node import replace
 from koordgen.lang.semantics.composition import Application, System
 
 SOURCE, PARAMS = "source", "params.json"  # paths in a run's folder; koordgen/build/bundle/plan.py writes them
@@ -20,10 +21,18 @@ class TracedFleet(NamedTuple):
     """Programs that the robots of a trace ran.
 
     `system`: the applications; of a fleet with one program, one application on all robots.
-    `functions`: the file of extern functions of each application, or None."""
+    `functions`: the file of extern functions of each application, or None.
+    `is_squad`: True if the fleet is one robot of an outer fleet. Its last application then hosts the outer program: it
+        is known by its writes only."""
 
     system: System
     functions: tuple[Path | None, ...]
+    is_squad: bool = False
+
+    @property
+    def programs(self) -> System:
+        """Applications whose programs are known."""
+        return replace(self.system, applications=self.system.applications[:-1]) if self.is_squad else self.system
 
     @property
     def is_composed(self) -> bool:
@@ -53,7 +62,21 @@ def fleet_of(options: Namespace, trace: Path, header: Mapping[str, Any]) -> Trac
             WRONG, f"{trace} is the trace of programs with the hash {program_hash}, but {what} has {its}",
             "fleet file, programs, params or extern functions have changed: name those of the run with --fleet",
         )  # fmt: skip
-    return found
+    return _with_host(found, header)
+
+
+def _with_host(found: TracedFleet, header: Mapping[str, Any]) -> TracedFleet:
+    """Return the programs of a squad with the application that hosts the outer program; other programs unchanged."""
+    from koordgen.build.bundle.squad_budget import with_host
+
+    part = next(iter(header.get("composition", ())[len(found.system.applications) :]), None)
+    if part is None:
+        return found
+    applications = found.system.applications
+    provider = next(index for index, each in enumerate(applications) if each.program.provides)
+    program = applications[provider].program
+    system = with_host(found.system, provider, list(part["variables"]), 1, "", program.provides[0].span)
+    return TracedFleet(system, (*found.functions, None), is_squad=True)
 
 
 def _names_programs(fleet: str) -> bool:
@@ -95,6 +118,7 @@ def _of_fleet_file(options: Namespace) -> TracedFleet:
 def _of_run(options: Namespace, trace: Path, header: Mapping[str, Any], n_sys: int) -> TracedFleet:
     """Return the programs in the folder of a run, connected as the header says."""
     from koordgen.build.bundle.functions import functions_file
+    from koordgen.build.bundle.squad_budget import OUTER
     from koordgen.build.emit.system import with_sizes
 
     _only_for_one_program(options)
@@ -105,7 +129,8 @@ def _of_run(options: Namespace, trace: Path, header: Mapping[str, Any], n_sys: i
         what = alone if folder is not None else f"there is no folder {SOURCE}/ beside {trace}"
         raise Failure(USAGE, f"{what}, and the fleet has several applications", "name the fleet file with --fleet")
     try:
-        applications = tuple([_application(folder, part) for part in composition])
+        own = [part for part in composition if part["name"] != OUTER or (folder / SOURCE / OUTER).is_dir()]
+        applications = tuple([_application(folder, part) for part in own])
         system = with_sizes(System(applications, n_sys))
     except (LookupError, TypeError, ValueError, StopIteration) as error:
         raise Failure(WRONG, f"{trace}: a broken header: {error!r}", "name the fleet file with --fleet") from None

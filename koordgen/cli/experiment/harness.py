@@ -51,7 +51,7 @@ def harness(options: Namespace) -> int:
 def _harness(options: Namespace) -> int:
     options.collected = []
     more, plan = _followed(options)
-    bundles, app = building.planned(options, [options.command], more)
+    bundles, app = building.planned(options, [options.command], more, squads=options.follow is None)
     building.require_packages()
     bundle = bundles[options.command]
     scenario = read_scenario(options.scenario, bundle, options.duration) if options.scenario else None

@@ -75,12 +75,12 @@ def _audited(options: Namespace, fleet: TracedFleet, whole: FleetMission) -> lis
     audited, left = AuditedFleet(system, tuple(missions)), _left(options.seconds)
     proofs: list[dict[str, str]] | None = None
     found = []
-    for index, (application, mission_) in enumerate(zip(system.applications, missions, strict=True)):
+    for index, (application, mission_) in enumerate(zip(fleet.programs.applications, missions, strict=False)):
         judged, ended = _judged(fleet, audited, index, options.seconds, left())
-        question = _question(system, index)
+        question = _question(fleet.programs, index)
         blames = [] if ended else blame.blames(question, judged)
         if options.prove and blames and proofs is None:
-            proofs = _proofs(system)
+            proofs = _proofs(fleet.programs)
         notes = [*([ended] if ended else []), *_notes(judged, mission_, fleet.is_composed)]
         name = application.name if fleet.is_composed else ""
         proved = _proved(proofs[index], blames) if proofs is not None and blames else None

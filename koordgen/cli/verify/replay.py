@@ -30,8 +30,10 @@ def replay(options: Namespace) -> int:
         trace = open_trace(path)
         path = trace.path
         fleet = fleet_of(options, trace.path, trace.header)
-        parts = zip(fleet.system.applications, fleet.functions, strict=True)
-        again = replay_trace(fleet.system, [externs(a.program, file) for a, file in parts], trace, counts)
+        parts = zip(fleet.programs.applications, fleet.functions, strict=False)
+        again = replay_trace(
+            fleet.system, [*(externs(a.program, file) for a, file in parts), *[None] * fleet.is_squad], trace, counts
+        )
         try:
             with alarm(options.seconds):
                 for difference in again:

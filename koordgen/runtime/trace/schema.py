@@ -166,6 +166,19 @@ class PoseRecord(msgspec.Struct, frozen=True, tag_field="kind", tag="pose"):
     t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
 
 
+class MemberPose(msgspec.Struct, frozen=True, tag_field="kind", tag="member"):
+    """True position and heading of a robot of a squad, in the trace of a simulated outer fleet.
+
+    The squad is a robot of this trace. The position in its own `pose` is the mean of those of its members."""
+
+    pid: int  # number of the squad
+    member: str  # name of the robot in the fleet of the squad
+    position: Vector  # position of the robot [m]
+    yaw: float  # heading of the robot [rad]
+    time: float = 0.0  # not in a merged trace: time by the simulator's clock [s]
+    t: float = 0.0  # only in a merged trace: time since the start of round 1 [s]
+
+
 class Phase(msgspec.Struct, frozen=True, tag_field="kind", tag="phase"):
     """A robot's agent entered a phase, or made progress in its phase."""
 
@@ -404,6 +417,7 @@ class _Kind(msgspec.Struct):
 Mark = Violation | Verdict | Cause | Moved | End
 OfRobot = (
     PoseRecord
+    | MemberPose
     | Phase
     | InitRecord
     | Round

@@ -17,12 +17,19 @@ from koordgen.verify.replay.values import plain
 Externs = Mapping[str, Callable[..., Any]]  # name of an extern function -> function by which the semantics calls it
 
 
-def replay_trace(system: System, externs: Sequence[Externs], trace: TraceParts, counts: Counts) -> Iterator[Difference]:
+def replay_trace(
+    system: System, externs: Sequence[Externs | None], trace: TraceParts, counts: Counts
+) -> Iterator[Difference]:
     """Yield every difference between trace and programs, in the trace's order.
 
-    `externs`: the extern functions of each application. Raises BadTrace or Unreplayable."""
+    `externs`: the extern functions of each application; None for an application whose events are not run again. Raises
+    BadTrace or Unreplayable."""
     instances = Instances(system, trace)
-    replays = [Replay(system, i, externs[i.application], counts, trace.followed) for i in system.instances()]
+    again = [externs[i.application] for i in system.instances()]
+    replays = [
+        None if own is None else Replay(system, i, own, counts, trace.followed)
+        for i, own in zip(system.instances(), again, strict=True)
+    ]
     stores = None if trace.own else Stores(system, instances, trace)
     views: dict[int, tuple[int, Any]] = {}
     last = 0
@@ -34,6 +41,8 @@ def replay_trace(system: System, externs: Sequence[Externs], trace: TraceParts, 
             views.clear()  # the views known so far belong to an earlier mission
         number = instances.of(line)
         replay = replays[number]
+        if replay is None:
+            continue
         # The previous part of the trace ends in the middle of a record, so records are missing between the parts.
         if trace.cut and line.record["kind"] == "checkpoint":
             replay.skip()
@@ -43,7 +52,8 @@ def replay_trace(system: System, externs: Sequence[Externs], trace: TraceParts, 
         last = line.number
     if not trace.cut:
         for number, replay in enumerate(replays):
-            yield from instances.named(number, replay.end(last))
+            if replay is not None:
+                yield from instances.named(number, replay.end(last))
 
 
 def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:

@@ -1,13 +1,15 @@
 """Output folder of a run: claimed for one run, never taken from another owner.
 
 The folder belongs to runs if it has the marker file and otherwise only files of runs, or files that `report` and
-`export` wrote later: the marker lists those, one a line. Files of an earlier run are removed before a new one begins,
-so a failed run never looks like the good one before it."""
+`export` wrote later: the marker lists those, one a line. A line that ends with `/` names the folder of an inner fleet,
+which belongs to the run as a whole. Files of an earlier run are removed before a new one begins, so a failed run never
+looks like the good one before it."""
 
 from __future__ import annotations
 
 import fcntl
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -49,12 +51,13 @@ def _recorded(folder: Path) -> set[str]:
 
 
 class RunFolder:
-    """Context manager that claims `path` for a run.
+    """Context manager that claims `path` for a run. `fleets`: names of inner fleets, which get a folder each.
 
     Raises Foreign before anything was touched, OSError if the folder cannot be created."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, fleets: Sequence[str] = ()) -> None:
         self.path = path
+        self._fleets = fleets
         self._marker: IO[bytes] | None = None
 
     def __enter__(self) -> Path:
@@ -67,15 +70,20 @@ class RunFolder:
             self._marker.close()
             raise ForeignFolder(f"{self.path}: another run is writing there") from None
         recorded = _recorded(self.path)
-        for name in {*FILES, *recorded}:
+        whole = {name for name in recorded if name.endswith("/")}
+        for name in {*FOLDERS, *whole}:
+            if (self.path / name).exists():
+                shutil.rmtree(self.path / name)
+        for name in {*FILES, *recorded} - whole:
             (self.path / name).unlink(missing_ok=True)
         for name in {Path(name).parts[0] for name in recorded}:
             if (self.path / name).is_dir():
                 (self.path / name).rmdir()
-        for name in FOLDERS:
-            if (self.path / name).exists():
-                shutil.rmtree(self.path / name)
         self._marker.truncate(0)
+        self._marker.write("".join(f"{name}/\n" for name in self._fleets).encode())
+        self._marker.flush()
+        for name in self._fleets:
+            (self.path / name).mkdir()
         return self.path
 
     def __exit__(

@@ -13,12 +13,16 @@ from koordgen.runtime.trace.schema import ApplicationRecord, BoxRecord, SharedVa
 from koordgen.runtime.values.obstacles import Block, Cylinder, Mesh, Obstacle, Sphere
 from koordgen.runtime.values.points import Point, distance, transmissible
 from targets.sim.base.bodies import Vector
+from targets.sim.base.folder import FOLDERS
 
 AUTO, PYBULLET, MUJOCO = "auto", "pybullet", "mujoco"
 PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # names on the package index
 
 
 FILE = "scenario.json"
+RESERVED = frozenset(
+    FOLDERS
+)  # names that a squad must not have, because the folder of a run has a folder for each squad
 
 
 class BadScenario(Exception):
@@ -90,11 +94,35 @@ class Robot(msgspec.Struct, frozen=True):
         return self.sim.autopilot == "external"
 
 
+class FleetDescription(msgspec.Struct, frozen=True):
+    """One fleet of a scenario with squads.
+
+    `name`: "" for the outer fleet, otherwise the name of the squad that the fleet is. `members`: the fleet's robots in
+    the order of their pids; each is the place of a physical robot in `Scenario.robots`, or the name of a squad. Other
+    fields: see Scenario."""
+
+    name: str
+    members: tuple[int | str, ...]
+    app: str
+    source: str
+    program_hash: str
+    delta: float
+    geofence: BoxRecord
+    drivers: tuple[tuple[str, str, str], ...] = ()
+    shared: tuple[SharedVariable, ...] = ()
+    records: dict[str, tuple[tuple[str, str], ...]] = {}
+    applications: tuple[ApplicationRecord, ...] = ()
+    application_id: int = 0
+
+
 class Scenario(msgspec.Struct, frozen=True):
     """Scenario of a run.
 
     `harness`: the sim target's own settings, as its manifest declares them. `records`: the program's record types, each
-    with its fields and their types in order."""
+    with its fields and their types in order.
+
+    In a scenario with squads, `robots` has the physical robots of all fleets, and `pid` is their place in it. `fleets`
+    describes the outer fleet first, then each squad. The scenario's own fields are those of the outer fleet."""
 
     app: str
     source: str
@@ -112,6 +140,7 @@ class Scenario(msgspec.Struct, frozen=True):
     records: dict[str, tuple[tuple[str, str], ...]] = {}
     applications: tuple[ApplicationRecord, ...] = ()  # empty: the program is the only application
     application_id: int = 0
+    fleets: tuple[FleetDescription, ...] = ()  # empty: one fleet without squads
     gui: bool = False  # True if the contact engine shows its window; set by --gui only
 
     @property
@@ -186,7 +215,22 @@ def _check(path: Path, root: Path, scenario: Scenario) -> None:
             raise BadScenario(f"{path}: {robot.name}'s bundle {robot.bundle} is missing", "build the bundle again")
         if not all(map(math.isfinite, (*robot.start.position, robot.start.yaw))):
             raise BadScenario(f"{path}: {robot.name}'s start is not finite")
+    _check_fleets(path, scenario)
     check_starts(scenario)
+
+
+def _check_fleets(path: Path, scenario: Scenario) -> None:
+    """Check that each physical robot is a member of one fleet, and that each squad has a description."""
+    members = [member for fleet in scenario.fleets for member in fleet.members]
+    physical = sorted(member for member in members if isinstance(member, int))
+    if scenario.fleets and physical != list(range(len(scenario.robots))):
+        raise BadScenario(f"{path}: each robot must be a member of one fleet", "build the bundle again")
+    squads = [fleet.name for fleet in scenario.fleets]
+    for name in RESERVED.intersection(squads):
+        raise BadScenario(f"{path}: {name} is a folder of each run", "give the squad another name in the fleet file")
+    for member in members:
+        if isinstance(member, str) and member not in squads[1:]:
+            raise BadScenario(f"{path}: the squad {member} is not described", "build the bundle again")
 
 
 def check_starts(scenario: Scenario) -> None:

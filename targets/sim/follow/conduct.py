@@ -19,9 +19,11 @@ from targets.sim.base.fault_state import FaultState
 from targets.sim.base.programs import LoadedPrograms
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.follow.guide import ReplayGuide, ReplayPlatform
-from targets.sim.lockstep.agent import LockstepAgent, Shared, TraceFile
+from targets.sim.lockstep.agent import LockstepAgent
 from targets.sim.lockstep.run import Lockstep
+from targets.sim.lockstep.shared import LockstepFleet
 from targets.sim.lockstep.time_shares import TimeShares
+from targets.sim.lockstep.traced import TraceFile
 from targets.sim.run.scene import Actor, SeparationMonitor, SimulationScene
 
 EVERYWHERE = 1e9  # metres; a geofence of this size never acts
@@ -37,20 +39,20 @@ class ReplayLockstep(Lockstep):
     def check(self, scenario: Scenario) -> None:
         """Accept every scenario: no platform of a target runs here."""
 
-    def resident(self, robot: Robot, folder: Path, shared: Shared) -> LockstepAgent:
-        return ReplayAgent(robot, folder, shared, self.guide)
+    def resident(self, robot: Robot, folder: Path, fleet: LockstepFleet) -> LockstepAgent:
+        return ReplayAgent(robot, folder, fleet, self.guide)
 
     def scene(self) -> SimulationScene:
-        self._scene = PlacedScene(self._shared.scenario, self.guide)
+        self._scene = PlacedScene(self._scenario, self.guide)
         return self._scene
 
 
 class ReplayAgent(LockstepAgent):
     """Agent whose events, sensors and callable ports come from the plan; all other parts are its own."""
 
-    def __init__(self, robot: Robot, folder: Path, shared: Shared, guide: ReplayGuide) -> None:
+    def __init__(self, robot: Robot, folder: Path, fleet: LockstepFleet, guide: ReplayGuide) -> None:
         self._guide = guide
-        super().__init__(robot, folder, shared)
+        super().__init__(robot, folder, fleet)
 
     def poll(self, now: float) -> None:
         """Poll the agent, as LockstepAgent does. It is polled at the very beginning of each of its rounds."""

@@ -13,8 +13,7 @@ import msgspec
 
 from koordgen.runtime.trace.schema import InitRecord, Round, StreamLine, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState, Vector
-from targets.sim.run.run import Run
-from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.run_interface import AgentHandle, WatchedRun
 
 SAME = 0.2
 IDLE_TIMEOUT = 60.0  # seconds
@@ -33,7 +32,7 @@ class Idle:
         self._stopped: dict[int, set[str]] = {}  # pid -> applications that have stopped
         self._steps = 0
 
-    def launched(self, run: Run) -> None:
+    def launched(self, run: WatchedRun) -> None:
         self._run = run
 
     def step(self, at: float, states: list[BodyState]) -> None:

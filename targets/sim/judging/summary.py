@@ -171,7 +171,7 @@ def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult)
         monitors=monitored.beside(properties),
         causes=causes,
         robots=robots,
-        min_separation=_separation(result, names),
+        min_separation=_separation(result, dict(enumerate(result.names)) or names),
         min_separation_asked=header.min_separation,
         collisions=sum(v.what == "collision" for v in violations),
         real_time_factor=result.real_time_factor,
@@ -181,6 +181,27 @@ def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult)
         shares=result.shares,
         host_waits=result.host_waits,
     )
+
+
+def add_fleet(summary: Summary, name: str, inner: Summary) -> None:
+    """Add the properties of the inner fleet `name` and their violations to the summary of a run with squads."""
+    found = [msgspec.structs.replace(each, name=f"{name}: {each.name}") for each in inner.properties]
+    summary.properties += [msgspec.structs.replace(each, robots=_full(name, each.robots)) for each in found]
+    own = [
+        msgspec.structs.replace(each, robots=_full(name, each.robots), detail=f"{name}: {each.detail}")
+        for each in inner.violations
+        if each.what == "property"
+    ]
+    summary.violations = sorted([*summary.violations, *own], key=lambda violation: violation.t)
+    if summary.verdict == "held" and own:
+        summary.verdict, summary.why = "violated", violation_text(own[0])
+    elif summary.verdict == "held" and LEFT_OPEN in inner.why:
+        joint = "; " if LEFT_OPEN in summary.why else LEFT_OPEN
+        summary.why += f"{joint}{name}: {inner.why.partition(LEFT_OPEN)[2]}"
+
+
+def _full(fleet: str, robots: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple([f"{fleet}.{robot}" for robot in robots])
 
 
 def _separation(result: RunResult, names: dict[int, str]) -> Separation | None:

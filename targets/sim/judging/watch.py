@@ -37,19 +37,18 @@ from koordgen.runtime.program.property import (
 from koordgen.runtime.trace.schema import InitRecord, Phase, Round, TraceRecord, Verdict, ViewRecord, Violation
 from koordgen.runtime.values.points import Point, Pose
 from targets.sim.base.bodies import BodyState
-from targets.sim.base.programs import load_programs
+from targets.sim.base.programs import load_programs, with_outer
 from targets.sim.judging.batch import Batch
 from targets.sim.judging.guarantees import StepGuarantees, WatchedApplication
 from targets.sim.judging.judge import JudgedProperty, Of, all_of
 from targets.sim.judging.windows import Came, Windows
-from targets.sim.run.run import Run
-from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.run_interface import AgentHandle, WatchedRun
 from targets.sim.trace.store_names import qualified_name
 from targets.sim.trace.truth import Truth
 
 PATIENCE = 3.0  # seconds after a round's end for which its records are awaited
 MOST_KEPT = 4800  # number of physics steps that are kept before round 1 begins
-GENERATED = ("program", "properties", "applications")  # modules of bundles; of applications `program_NAME`
+GENERATED = ("program", "properties", "applications", "squad")  # modules of bundles; of applications `program_NAME`
 _PORTS: dict[str, Callable[[BodyState], Any]] = {
     "position": lambda state: Point(*state.position),
     "velocity": lambda state: Point(*state.velocity),
@@ -58,11 +57,14 @@ _PORTS: dict[str, Callable[[BodyState], Any]] = {
 _CAME: dict[Outcome, Came] = {"held": "h", "violated": "v", "no value": "n", "unknown": "u"}
 
 
-def load_fleet(root: Path, robots: int, driven: Collection[str] = ()) -> list[WatchedApplication]:
-    """Return all applications of the sim bundle at `root`. `driven`: modules served by the user's own drivers."""
+def load_fleet(root: Path, robots: int, driven: Collection[str] = (), outer: int = 0) -> list[WatchedApplication]:
+    """Return all applications of the sim bundle at `root`, or of one fleet in it.
+
+    `driven`: modules served by the user's own drivers. `outer`: number of robots of the outer fleet."""
     with _imports_from(root):
         program, found = load_programs(root, driven)
         fleet = program if isinstance(program, FleetProgram) else FleetProgram.alone(program, robots)
+        fleet = with_outer(root, fleet, outer)
         for application in fleet.applications:
             if application.program.library is not None:
                 with suppress(BadExtern):  # the robots report the error; a property that calls the library has no value
@@ -130,7 +132,7 @@ class Watcher:
         """Lines ("app.koord:12") of the properties that read positions of bodies."""
         return {watched.line for watched in self._watched if watched.moving}
 
-    def launched(self, run: Run) -> None:
+    def launched(self, run: WatchedRun) -> None:
         self._run = run
 
     def step(self, at: float, states: list[BodyState]) -> None:

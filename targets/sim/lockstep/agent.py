@@ -8,139 +8,56 @@ from __future__ import annotations
 import importlib
 import math
 import traceback
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from random import Random
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 
 from koordgen.runtime.agent.machine import INTERNAL, SURROUNDINGS, WRONG_PROGRAM
 from koordgen.runtime.agent.machine import Agent as Machine
-from koordgen.runtime.agent.records import KEPT, Acceptor, Kept, Loaded, Locals, Mission
+from koordgen.runtime.agent.records import MemoryStore
+from koordgen.runtime.agent.squad import MODULE, Squad
+from koordgen.runtime.agent.squad_host import HostSurroundings, SquadHost
 from koordgen.runtime.config.settings import BadSettings, Settings, load
 from koordgen.runtime.net.layout import TooLarge
-from koordgen.runtime.net.network import MemoryNetwork, MemoryTransport, Queue
+from koordgen.runtime.net.network import MemoryTransport
 from koordgen.runtime.ops.set_up import programs_of
 from koordgen.runtime.program.extern import BadExtern
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Program
-from koordgen.runtime.program.runner import Limit
-from koordgen.runtime.trace.schema import HEADER, TraceRecord, decoded
 from koordgen.runtime.trace.writer import Trace
-from koordgen.runtime.values.clock import Clock, SimulatedClock
 from koordgen.runtime.vehicle.drivers import Drivers, with_drivers
 from koordgen.runtime.vehicle.platform import Platform, Unready
 from targets.sim.base.bodies import DirectlyDriven
 from targets.sim.base.programs import LoadedPrograms, load_programs
 from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.lockstep.bundle_modules import BundleModules
-from targets.sim.lockstep.time_shares import TimeShares
-from targets.sim.lockstep.wires import EPOCH, LockstepServices, MemoryWiring
-from targets.sim.run.run_interface import AgentHandle
+from targets.sim.lockstep.shared import LockstepFleet, SquadPlace
+from targets.sim.lockstep.traced import TracedAgent, TraceFile
+from targets.sim.lockstep.wires import EPOCH, LockstepServices
 from targets.sim.run.scene import Actor
 
-# State that survives a crash in lockstep, as the file of a real robot does (runtime/agent/checkpoint.py).
-
-
-class MemoryStore:
-    """Persistent store in memory, which outlives its agent.
-
-    Implements `koordgen.runtime.agent.checkpoint.CheckpointStore`."""
-
-    def __init__(self) -> None:
-        self._mission: Mission | None = None
-        self._acceptor: Acceptor | None = None
-        self._locals: deque[Locals] = deque(maxlen=KEPT + 1)
-
-    def write(self, record: Kept) -> bool:
-        match record:
-            case Mission():
-                self._mission = record
-            case Acceptor():
-                self._acceptor = record
-            case Locals():
-                self._locals.append(record)
-        return True
-
-    def load(self) -> Loaded:
-        newest = {record.round: record for record in self._locals}
-        return Loaded(self._mission, tuple(newest[r] for r in sorted(newest)[-KEPT:]), self._acceptor)
-
-    def clear(self) -> None:
-        self._mission = self._acceptor = None
-        self._locals.clear()
-
-
 KILLED = -9
+# Settings in lockstep that replace a robot's own.
+NO_FILES: Mapping[str, Any] = {
+    "network": {"transport": "unicast"}, "state": None, "key_file": None, "trace": None,
+}  # fmt: skip
 
 
-class TraceFile:
-    """Trace file that also keeps the lines written since they were last read."""
-
-    def __init__(self, file: IO[bytes], shares: TimeShares) -> None:
-        self._file, self._shares = file, shares
-        self.lines: list[bytes] = []
-
-    def write(self, line: bytes) -> None:
-        """Raises OSError."""
-        began = self._shares.begin()
-        self._file.write(line)
-        self.lines.append(line)
-        self._shares.end("trace", began)
-
-    def flush(self) -> None:
-        """Do nothing: nobody reads the file before the run's end."""
-
-    def close(self) -> None:
-        self._file.close()
-
-
-class TimedNetwork(MemoryNetwork):
-    """Network in memory that measures its own processing time."""
-
-    def __init__(self, clock: Clock, seed: int, shares: TimeShares) -> None:
-        super().__init__(clock, seed)
-        self._shares = shares
-
-    def send(self, sender: int, receiver: int, datagram: bytes) -> None:
-        began = self._shares.begin()
-        super().send(sender, receiver, datagram)
-        self._shares.end("network", began)
-
-    def arrived(self, queue: Queue) -> list[bytes]:
-        began = self._shares.begin()
-        taken = super().arrived(queue)
-        self._shares.end("network", began)
-        return taken
-
-
-class Shared:
-    """Objects that all agents of a run share."""
-
-    def __init__(self, scenario: Scenario, root: Path, seed: int, key: bytes, iterations: int, limit: Limit) -> None:
-        self.scenario, self.root, self.seed, self.key = scenario, root, seed, key
-        self.iterations, self.limit = iterations, limit
-        self.clock = SimulatedClock()
-        self.shares = TimeShares()
-        self.network = TimedNetwork(self.clock, Random(f"{seed}/network").getrandbits(32), self.shares)
-        self.hub = MemoryWiring()
-
-
-class LockstepAgent(AgentHandle):
+class LockstepAgent(TracedAgent):
     """Agent handle of a robot in lockstep. After construction it is not yet launched."""
 
-    def __init__(self, robot: Robot, folder: Path, shared: Shared) -> None:
-        super().__init__(robot, folder, shared.scenario.delta)
-        self._shared = shared
+    def __init__(self, robot: Robot, folder: Path, own: LockstepFleet) -> None:
+        super().__init__(robot, folder, own.scenario.delta)
+        shared = self._shared = own.shared
+        self._fleet = own
+        self._place = own.fleet.bodies[robot.pid][0]
         self._settings_file = folder / "settings.json"
-        self._dice = Random(f"{shared.seed}/{robot.pid}/agent")
+        self._dice = Random(f"{shared.seed}/{self._place}/agent")
         self._store = MemoryStore()
-        self._log: IO[str] = self.log_file.open("w", encoding="utf-8")
-        self._out: TraceFile | None = None  # the trace's file
-        self._seen: list[TraceRecord] = []  # since `look` was last called
         self._own = BundleModules(
             shared.root / robot.bundle, shared.clock.now, lambda: EPOCH + shared.clock.now(), self._log
         )
@@ -149,17 +66,17 @@ class LockstepAgent(AgentHandle):
         self._machine: Machine | None = None
         self._platform: Platform | None = None
         self._transport: MemoryTransport | None = None
+        self._host: SquadHost | None = None  # of a squad's agent, if the robot is in a squad
+        self._between: MemoryTransport | None = None  # transport of that agent
         self._actor: Actor | None = None
         self._status: int | None = None
         self._wake = self._polled = self._thawed = 0.0
+        self._wake_outer = math.inf
 
     def launch(self, actor: Actor) -> None:
         """Launch the agent. Raises OSError."""
         self._actor = actor
-        settings = {
-            "network": {"transport": "unicast"}, "state": None, "key_file": None, "trace": None,
-            **self._overrides(actor),
-        }  # fmt: skip
+        settings = {**NO_FILES, **self._overrides(actor)}
         self._settings_file.write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
         self._boot(actor)
 
@@ -174,16 +91,25 @@ class LockstepAgent(AgentHandle):
                 settings = load(shared.root / robot.bundle / "settings.json", self._settings_file)
                 (program, properties), drivers = self._loaded()
                 programs = _programs(program, robot.pid)
+                boot = self._dice.randbytes(8)
+                if self._fleet.squad is not None:
+                    assert isinstance(program, FleetProgram)
+                    self._host = self._hosted(self._fleet.squad, program, boot)
+                    programs, program = (*programs, self._host.squad.program), self._host.fleet
+                    drivers = {**drivers, **self._host.drivers}
                 whole = program.of(robot.pid) if isinstance(program, FleetProgram) else program
                 platform = self._embodied(actor, settings, whole)
                 self._platform = with_drivers(platform, whole, drivers)
-                self._transport = shared.network.transport(robot.pid)
+                self._transport = self._fleet.transport(self._place)
                 self._machine = Machine(
                     program, settings, shared.key, self._platform, shared.clock, self._transport,
-                    Trace(self._out, self._warn), self._emit, self._dice.randbytes(8), self._store,  # type: ignore[arg-type]
+                    Trace(self._out, self._warn), self._emit, boot, self._store,  # type: ignore[arg-type]
                     monitors=self.monitors, limit=shared.limit, properties=properties,
                 )  # fmt: skip
-                if all(p.library is None for p in programs) and not drivers and self._own.idle:
+                if self._host is not None:
+                    self._host.attach(self._machine)
+                users_own = set(drivers) - {MODULE}
+                if all(p.library is None for p in programs) and not users_own and self._own.idle:
                     self._inside = nullcontext()
         except (BadSettings, TooLarge, BadExtern) as error:
             self._fail(str(error), WRONG_PROGRAM)
@@ -191,6 +117,21 @@ class LockstepAgent(AgentHandle):
             self._fail(error.message + (f"\n  help: {error.hint}" if error.hint else ""), SURROUNDINGS)
         except Exception:
             self._fail("internal error, please report it:\n" + traceback.format_exc(), INTERNAL)
+
+    def _hosted(self, place: SquadPlace, inner: FleetProgram, boot: bytes) -> SquadHost:
+        """Return the host of the squad's agent on this robot. `boot`: boot id of the robot's own agent."""
+        squad: Squad = importlib.import_module("squad").SQUAD
+        if squad.program.library is not None:
+            squad.program.library.load()
+        own_file = self._settings_file.with_name(squad.settings)
+        own_file.write_bytes(msgspec.json.format(msgspec.json.encode(NO_FILES), indent=2) + b"\n")
+        settings = load(self._shared.root / self.robot.bundle / squad.settings, own_file)
+        self._between = place.outer.transport(self._place)
+        around = HostSurroundings(
+            settings, self._shared.key, boot, self._shared.clock, self._between, place.handle.trace,
+            place.handle.emit, self._shared.limit, tuple(place.handle.monitors),
+        )  # fmt: skip
+        return SquadHost(squad, inner, self.robot.pid, self._fleet.scenario.delta, around)
 
     def _overrides(self, actor: Actor) -> dict[str, Any]:
         """Return the settings that override the robot's own."""
@@ -202,7 +143,7 @@ class LockstepAgent(AgentHandle):
 
     def _loaded(self) -> tuple[LoadedPrograms, Drivers]:
         """Return programs with their properties, and drivers, of the robot's bundle."""
-        return _loaded(self._shared.scenario, self._shared.root / self.robot.bundle, self.robot.pid)
+        return _loaded(self._fleet.scenario, self._shared.root / self.robot.bundle, self.robot.pid)
 
     def _embodied(self, actor: Actor, settings: Settings, program: Program) -> Platform:
         """Return the platform of the device if it has one, otherwise that of the target."""
@@ -220,14 +161,19 @@ class LockstepAgent(AgentHandle):
         machine = self._machine
         if machine is None:
             return math.inf
-        network, pid = self._shared.network, self.robot.pid
-        arrival = network.next_arrival(pid)
-        due = self._wake
-        if arrival < due:
-            expected, gather = machine.expects
-            complete = max(network.next_arrival(pid, expected), self._polled)
-            due = min(due, complete, max(arrival, self._polled + gather))
+        due = min(self._due(machine, self._fleet, self._wake), self._wake_outer)
+        if self._host is not None and self._host.outer is not None and self._fleet.squad is not None:
+            due = min(due, self._due(self._host.outer, self._fleet.squad.outer, self._wake_outer))
         return max(due, self._thawed)
+
+    def _due(self, machine: Machine, fleet: LockstepFleet, wake: float) -> float:
+        """Return the time at which a machine of this robot needs a poll. `wake`: the time that it requested."""
+        arrival = fleet.network.next_arrival(self._place)
+        if arrival >= wake:
+            return wake
+        expected, gather = machine.expects
+        complete = max(fleet.network.next_arrival(self._place, expected), self._polled)
+        return min(wake, complete, max(arrival, self._polled + gather))
 
     def poll(self, now: float) -> None:
         """Run the agent for all work that is due."""
@@ -238,6 +184,8 @@ class LockstepAgent(AgentHandle):
         try:
             with self._inside:
                 self._wake = max(machine.poll(now), now + 1e-6)
+                if self._host is not None:
+                    self._wake_outer = max(self._host.poll(now), now + 1e-6)
         except Exception:
             self._fail("internal error, please report it:\n" + traceback.format_exc(), INTERNAL)
             return
@@ -259,31 +207,22 @@ class LockstepAgent(AgentHandle):
 
     def _drop(self, status: int) -> None:
         """Detach everything of the agent, without calling it."""
-        if self._transport is not None:
-            self._transport.close()
+        for transport in (self._transport, self._between):
+            if transport is not None:
+                transport.close()
         for surroundings in self._surroundings:
             surroundings.cut()
         if self._out is not None:
             self._read()
             with suppress(OSError):
                 self._out.close()
-        self._machine = self._platform = self._transport = self._out = None
+        self._machine = self._platform = self._transport = self._between = self._host = self._out = None
+        self._wake_outer = math.inf
         self._status = status
 
     def _fail(self, message: str, status: int) -> None:
         self._emit("error", f"error: {message}")
         self._drop(status)
-
-    def _emit(self, level: str, line: str) -> None:
-        with suppress(OSError):  # a full disk
-            self._log.write(line + "\n")
-
-    def note(self, line: str) -> None:
-        """Write a line between the agent's own lines. See AgentHandle."""
-        self._emit("warning", line)
-
-    def _warn(self, text: str) -> None:
-        self._emit("warning", f"warning: {text}")
 
     @property
     def alive(self) -> bool:
@@ -331,34 +270,12 @@ class LockstepAgent(AgentHandle):
     def thaw(self) -> None:
         self._thawed = min(self._thawed, self._shared.clock.now())
 
-    def look(self) -> list[TraceRecord]:
-        self._read()
-        records, self._seen = self._seen, []
-        return records
-
-    def _read(self) -> None:
-        """Read the records traced since the last call."""
-        if self._out is None:
-            return
-        lines, self._out.lines = self._out.lines, []
-        for line in lines:
-            if not line.startswith(HEADER):  # an agent's own header differs from that of the merged trace
-                record = decoded(line)
-                if record is not None:
-                    self._record(record)
-                    self._seen.append(record)
-
     def _failed(self, status: int) -> str | None:
         if status == 0:
             return None
         own = self.stopping.detail if self.stopping else self.last_error
         why = own.strip().splitlines()[-1:] or self.last_lines(1) or ["it said nothing"]
         return f"ended with status {status}: {why[0]}"
-
-    def last_lines(self, count: int) -> list[str]:
-        with suppress(OSError):
-            self._log.flush()
-        return super().last_lines(count)
 
     def close(self) -> None:
         """End the agent and close its files. Idempotent."""

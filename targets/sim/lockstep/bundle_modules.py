@@ -58,7 +58,7 @@ def _generated(bundle: Path) -> set[str]:
     """Return the names of the generated modules that a bundle may have. `source` has a folder for each application."""
     applications = [folder.name for folder in (bundle / "source").glob("*")]
     programs = [f"{module}_{name}" for module in ("program", "properties") for name in applications]
-    return {"program", "properties", "applications", "source", *programs}
+    return {"program", "properties", "applications", "squad", "source", *programs}
 
 
 def _clock_module(clock: Callable[[], float], today: Callable[[], float]) -> ModuleType:

@@ -3,8 +3,8 @@
 All agents live in this process, and simulated time passes as fast as the processor allows.
 
 The world steps 240 times per simulated second. Between two steps, agents are polled at the times that they requested or
-at which a datagram arrives, in order of time and then of pid. Computation takes no simulated time. So the same scenario
-and seed give the same run, and traces that are equal byte for byte."""
+at which a datagram arrives, in order of time and then of their places in the scenario. Computation takes no simulated
+time. So the same scenario and seed give the same run, and traces that are equal byte for byte."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ import hashlib
 import math
 import random
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from koordgen.runtime.net.network import MemoryNetwork
 from koordgen.runtime.program.runner import Interrupting
+from targets.sim.base.fleets import fleets_of
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
-from targets.sim.lockstep.agent import LockstepAgent, Shared
+from targets.sim.lockstep.agent import LockstepAgent
+from targets.sim.lockstep.shared import LockstepFleet, Shared, SquadPlace
+from targets.sim.lockstep.squads import LockstepSquad
 from targets.sim.physics.world import STEP
-from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.run_interface import AgentHandle, WorldStep
 from targets.sim.run.scene import SimulationScene
 
 LONGEST_EVENT = 10.0  # seconds of the host's clock after which an event is interrupted
@@ -36,14 +40,25 @@ class Lockstep:
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
         self.check(scenario)
         random.seed(f"{seed}/user")  # random numbers for the user's functions
-        self._shared = Shared(
-            scenario, root, seed, hashlib.sha256(f"lockstep {seed}".encode()).digest(), ITERATIONS, _Longest()
-        )
-        self._agents: list[LockstepAgent] = []
-        for robot in scenario.robots:
-            own = folder / "robots" / robot.name
-            own.mkdir(parents=True)
-            self._agents.append(self.resident(robot, own, self._shared))
+        key = hashlib.sha256(f"lockstep {seed}".encode()).digest()
+        self._scenario, self._shared = scenario, Shared(root, seed, key, ITERATIONS, _Longest())
+        self._fleets = [LockstepFleet(fleet, self._shared) for fleet in fleets_of(scenario)]
+        self._squads: dict[str, LockstepSquad] = {}
+        by_place: dict[int, LockstepAgent] = {}
+        for fleet in self._fleets:
+            for robot, (place, *_) in zip(fleet.scenario.robots, fleet.fleet.bodies, strict=True):
+                own = folder / "robots" / robot.name
+                own.mkdir(parents=True)
+                if fleet.fleet.is_squad(robot.pid):
+                    self._squads[robot.name] = LockstepSquad(robot, own, fleet.scenario.delta, self._shared.shares)
+                else:
+                    by_place[place] = self.resident(robot, own, fleet)
+        for fleet in self._fleets:
+            if fleet.fleet.name in self._squads:
+                handle = self._squads[fleet.fleet.name]
+                fleet.squad = SquadPlace(self._fleets[0], handle)
+                handle.consist_of([by_place[place] for place, *_ in fleet.fleet.bodies])
+        self._agents = [by_place[place] for place in range(len(scenario.robots))]
         self._scene: SimulationScene | None = None
         self._steps = 0
         self._began = time.perf_counter()
@@ -52,23 +67,27 @@ class Lockstep:
         """Check that all robots can run in lockstep. Raises BadScenario."""
         _check(scenario)
 
-    def resident(self, robot: Robot, folder: Path, shared: Shared) -> LockstepAgent:
+    def resident(self, robot: Robot, folder: Path, fleet: LockstepFleet) -> LockstepAgent:
         """Return a robot's agent, not yet launched."""
-        return LockstepAgent(robot, folder, shared)
+        return LockstepAgent(robot, folder, fleet)
 
     @property
     def agents(self) -> list[LockstepAgent]:
         return self._agents
 
     @property
+    def squads(self) -> Mapping[str, AgentHandle]:
+        return self._squads
+
+    @property
     def network(self) -> MemoryNetwork:
-        """Network between the agents."""
-        return self._shared.network
+        """Network between the agents of the only or outer fleet."""
+        return self._fleets[0].network
 
     def scene(self) -> SimulationScene:
         shared = self._shared
         self._scene = SimulationScene(
-            shared.scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now
+            self._scenario, shared.seed, shared.key, wiring=shared.hub, clock=shared.clock.now
         )
         return self._scene
 
@@ -79,8 +98,9 @@ class Lockstep:
 
     def disturb(self, medium: Medium) -> None:
         """See AgentsAndClock."""
-        network = self._shared.network
-        network.conditions, network.links, network.cut = medium.all, dict(medium.by_link()), medium.cut
+        for fleet in self._fleets:
+            network = fleet.network
+            network.conditions, network.links, network.cut = medium.all, dict(medium.by_link()), medium.cut
 
     def now(self) -> float:
         return self._shared.clock.time
@@ -133,6 +153,8 @@ class Lockstep:
     def close(self) -> None:
         for agent in self._agents:
             agent.close()
+        for squad in self._squads.values():
+            squad.close()
 
 
 class _Longest:

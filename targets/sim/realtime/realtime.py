@@ -6,17 +6,18 @@ import math
 import os
 import secrets
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
 
 from targets.sim.base.medium import Medium
 from targets.sim.base.ports import NUMBERS
-from targets.sim.base.scenario import Robot, Scenario
+from targets.sim.base.scenario import BadScenario, Robot, Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.realtime.relay import Relay
 from targets.sim.realtime.supervise import AgentProcess, overrides
-from targets.sim.run.run_interface import WorldStep
+from targets.sim.run.run_interface import AgentHandle, WorldStep
 from targets.sim.run.scene import Actor, SimulationScene
 
 # Pacing of the world: computes which physics steps are due at a host time, on absolute ticks.
@@ -65,6 +66,8 @@ class RealTime:
     `root` is the sim bundle; `folder` receives the key and a folder for each robot."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
+        if scenario.fleets:
+            raise BadScenario("fleets with squads cannot run in real time", "add --lockstep")
         self._scenario, self._root, self._seed = scenario, root, seed
         self._key_file = folder / "fleet.key"
         self._key = secrets.token_bytes(32)
@@ -86,6 +89,10 @@ class RealTime:
     @property
     def agents(self) -> list[AgentProcess]:
         return self._agents
+
+    @property
+    def squads(self) -> Mapping[str, AgentHandle]:
+        return {}
 
     def scene(self) -> SimulationScene:
         return SimulationScene(self._scenario, self._seed, self._key)

@@ -8,24 +8,29 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import msgspec
 
 from koordgen.runtime.trace.schema import End, Mark, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
+from targets.sim.base.fleets import SimulatedFleet, fleets_of
 from targets.sim.base.scenario import Scenario
 from targets.sim.physics.world import STEP
 from targets.sim.run.progress import Progress
-from targets.sim.run.run_interface import AgentHandle, AgentsAndClock
+from targets.sim.run.run_interface import AgentHandle, AgentsAndClock, WatchedRun
 from targets.sim.run.scene import Closest
 from targets.sim.trace.files import Poses
 
+R = TypeVar("R", bound=WatchedRun, contravariant=True)
 
-class Companion(Protocol):
-    """Observer or injector beside a run (`Run.companions`). May raise only OSError, which ends the run."""
 
-    def launched(self, run: Run) -> None:
+class Companion(Protocol[R]):
+    """Observer or injector beside a run (`Run.companions`). May raise only OSError, which ends the run.
+
+    R: what it needs to see of the run: a Run, or a WatchedRun if it judges one fleet only."""
+
+    def launched(self, run: R) -> None:
         """Called before the agents start.
 
         `run.scene` has the bodies and devices, `run.conduct.agents` the agent handles, `run.mark` adds records to the
@@ -47,6 +52,7 @@ class Companion(Protocol):
         ...
 
 
+POSES = "poses.jsonl"
 POSE_RATE = 20.0  # poses a second, unless the setting `pose_rate` says otherwise
 LOOK_EVERY = 0.05  # seconds between two checks of the agents
 STOP_WITHIN = 20.0  # seconds from the end of the mission within which every agent must end
@@ -56,7 +62,7 @@ START_TIMEOUT = 90.0
 
 @dataclass(slots=True)
 class RunResult:
-    """Result of a run. Times of `marks` and `closest` are t (s since round 1).
+    """Result of a run, or of one fleet in it. Times of `marks` and `closest` are t (s since round 1).
 
     `zero`: time of t = 0 on the run's clock: start of round 1, or the launch if round 1 did not begin. `ended`: why the
     mission ended: completed, stopped (all agents ended by themselves), died (before the start), timeout (no start),
@@ -71,6 +77,7 @@ class RunResult:
     real_time_factor: float
     late_steps: int
     steps: int
+    names: tuple[str, ...] = ()  # of all physical robots, by the numbers in `closest`; empty: those of the trace
     late_in_mission: int = 0  # late steps within the mission; start and end load the host more
     waiting: dict[str, str] = field(default_factory=dict)  # robot -> its phase, if round 1 did not begin
     last_lines: dict[str, list[str]] = field(default_factory=dict)  # of robots that failed
@@ -83,20 +90,26 @@ class RunResult:
         return [mark for mark in self.marks if isinstance(mark, Violation)]
 
 
+def poses_file(folder: Path, fleet: SimulatedFleet) -> Path:
+    """Return the file with the poses of a fleet in the folder of a run."""
+    return folder / fleet.name / POSES
+
+
 class Run:
     """A run. Owns `conduct` and `scene`.
 
-    `folder` receives poses, and a folder for each robot under `robots/`. All times are those of the run's clock,
-    `conduct.now`. `zero` is the start of round 1, None before."""
+    `folder` receives poses, a folder for each robot under `robots/`, and a folder for each inner fleet. All times are
+    those of the run's clock, `conduct.now`. `zero` is the start of the outer fleet's round 1, None before."""
 
     def __init__(
         self, scenario: Scenario, conduct: AgentsAndClock, folder: Path, duration: float, progress: Progress
     ) -> None:
         self.scenario = scenario
         self.conduct = conduct
-        self.companions: list[Companion] = []
+        self.companions: list[Companion[Run]] = []
         self.zero: float | None = None
-        self.poses_file = folder / "poses.jsonl"
+        self.folder = folder
+        self.fleets = fleets_of(scenario)
         self._duration = duration
         self._progress = progress
         self._interrupts = 0
@@ -111,7 +124,7 @@ class Run:
         self._failed: dict[str, tuple[float, str]] = {}  # robot -> time and text of its agent's failure
         try:
             self.scene = conduct.scene()
-            self._poses = Poses(self.poses_file)
+            self._poses = [(fleet, Poses(poses_file(folder, fleet))) for fleet in self.fleets]
         except BaseException:
             conduct.close()
             raise
@@ -134,6 +147,24 @@ class Run:
         """End the mission with this reason (`Outcome.ended`)."""
         self._finished = why
 
+    def agents_of(self, fleet: SimulatedFleet) -> list[AgentHandle]:
+        """Return the agents of a fleet by pid."""
+        agents, squads = self.conduct.agents, self.conduct.squads
+        return [
+            squads[name] if fleet.is_squad(pid) else agents[own[0]]
+            for pid, (name, own) in enumerate(zip(fleet.names, fleet.bodies, strict=True))
+        ]
+
+    def zero_of(self, fleet: SimulatedFleet) -> float | None:
+        """Return the start of a fleet's round 1 on the run's clock; None before."""
+        starts = [agent.first_round_start for agent in self.agents_of(fleet)]
+        return min([start for start in starts if start is not None], default=None)
+
+    @property
+    def handles(self) -> list[AgentHandle]:
+        """Agents of all physical robots, then those of squads."""
+        return [*self.conduct.agents, *self.conduct.squads.values()]
+
     def t(self, at: float) -> float | None:
         """Return the seconds since the start of round 1; None before it."""
         return None if self.zero is None else at - self.zero
@@ -146,7 +177,8 @@ class Run:
         finally:
             self.conduct.close()
             self.scene.close()
-            self._poses.close()
+            for _, poses in self._poses:
+                poses.close()
 
     def _execute(self) -> RunResult:
         agents, count = self.conduct.agents, len(self.conduct.agents)
@@ -174,9 +206,8 @@ class Run:
     def _before_start(self, now: float, timeout: float) -> str:
         if self._interrupts:
             return "interrupted"
-        starts = [agent.first_round_start for agent in self.conduct.agents if agent.first_round_start is not None]
-        if starts:
-            self.zero = min(starts)
+        self.zero = self.zero_of(self.fleets[0])
+        if self.zero is not None:
             return "started"
         if self._failed or not all(agent.alive for agent in self.conduct.agents):
             return "died"
@@ -207,7 +238,9 @@ class Run:
         """Simulate one step of the world."""
         states = self.scene.step(at)
         if self._steps % self._pose_every == 0:
-            self._poses.write(at, states)
+            for fleet, poses in self._poses:
+                members = [(pid, name, states[place]) for pid, name, place in fleet.members]
+                poses.write(at, fleet.states(states), members)
         self._steps += 1
         for companion in self.companions:
             companion.step(at, states)
@@ -226,7 +259,7 @@ class Run:
 
     def _look(self, now: float) -> None:
         self._note_contacts()
-        for agent in self.conduct.agents:
+        for agent in self.handles:
             self._hear(agent)
             name = agent.robot.name
             if agent.stopping and name not in self._left:
@@ -253,7 +286,7 @@ class Run:
             self._progress.step("the mission is over, robots stop safely")
         else:
             self._progress.show_line(f"{ended}: ending")
-        for agent in self.conduct.agents:
+        for agent in self.handles:
             self._hear(agent)
             agent.request_end()
         deadline = self.conduct.now() + STOP_WITHIN
@@ -264,7 +297,7 @@ class Run:
             return "yes" if over or not any(agent.alive for agent in self.conduct.agents) else ""
 
         self._until(are_stopped)
-        for agent in self.conduct.agents:
+        for agent in self.handles:
             agent.kill()
             while self._hear(agent):
                 pass
@@ -290,10 +323,12 @@ class Run:
             marks.append(Violation(t(at), "collision", (names[i],), f"touched obstacle {number}"))
         for name, (at, failure) in self._failed.items():
             marks.append(Violation(t(at), "ended", (name,), failure))
-        for pid, agent in enumerate(self.conduct.agents):
+        is_composed = bool(self.scenario.applications or self.scenario.fleets)
+        for agent in self.handles:
             for application, first in agent.first_faults.items():
-                named, who = application if self.scenario.applications else "", (agent.robot.name,)
+                named, who = application if is_composed else "", (agent.robot.name,)
                 marks.append(Violation(t(first.time), "fault", who, str(first.fault), application=named))
+        for pid, agent in enumerate(self.conduct.agents):
             ended_itself = agent.robot.name not in self._failed and not agent.crashed
             if ended_itself and not self.scene.standing(pid):
                 detail = "still moved or was in the air when its agent had ended"
@@ -311,6 +346,7 @@ class Run:
             late_steps=self.conduct.late,
             late_in_mission=self._late,
             steps=self.conduct.steps,
+            names=tuple(names),
             waiting=waiting,
             last_lines={a.robot.name: a.last_lines(5) for a in self.conduct.agents if a.robot.name in self._failed},
             statuses={a.robot.name: a.status for a in self.conduct.agents},

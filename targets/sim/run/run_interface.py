@@ -7,11 +7,11 @@ watcher, live view) use only this interface."""
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from koordgen.runtime.trace.schema import LogLine, Phase, Round, TraceRecord
+from koordgen.runtime.trace.schema import LogLine, Mark, Phase, Round, TraceRecord
 from koordgen.runtime.trace.writer import Observe
 from targets.sim.base.medium import Medium
 from targets.sim.base.scenario import Robot
@@ -164,7 +164,12 @@ class AgentsAndClock(Protocol):
 
     @property
     def agents(self) -> Sequence[AgentHandle]:
-        """Agent handles by pid."""
+        """Agent handles of all physical robots, in the order of the scenario."""
+        ...
+
+    @property
+    def squads(self) -> Mapping[str, AgentHandle]:
+        """Agent handle of each squad by its name; the agent of a squad runs on one of its robots."""
         ...
 
     @property
@@ -211,4 +216,37 @@ class AgentsAndClock(Protocol):
 
     def close(self) -> None:
         """End all agents and their companions. Idempotent."""
+        ...
+
+
+class WatchedAgents(Protocol):
+    """Agents of a fleet, as its watchers see them."""
+
+    @property
+    def agents(self) -> Sequence[AgentHandle]:
+        """Agent handles by pid."""
+        ...
+
+    def now(self) -> float:
+        """Return the time of the agents' clock in seconds."""
+        ...
+
+
+class WatchedRun(Protocol):
+    """Run of one fleet, as its watchers see it. Times are those of the run's clock."""
+
+    @property
+    def conduct(self) -> WatchedAgents: ...
+
+    @property
+    def zero(self) -> float | None:
+        """Start of the fleet's round 1; None before."""
+        ...
+
+    def mark(self, mark: Mark) -> None:
+        """Add a record to the merged trace of the fleet; its `t` is a time of the run's clock here."""
+        ...
+
+    def finish(self, why: str) -> None:
+        """End the mission with this reason."""
         ...

@@ -22,6 +22,7 @@ from targets.sim.autopilots.simple import SimpleCarDevice, SimpleQuadDevice
 from targets.sim.base.bodies import BodyState, Device, DeviceContext, Vector
 from targets.sim.base.degraded_actuators import DegradedActuators
 from targets.sim.base.fault_state import FaultState
+from targets.sim.base.fleets import own_settings
 from targets.sim.base.ports import Loopback, Wiring
 from targets.sim.base.scenario import BadScenario, Robot, Scenario
 from targets.sim.physics.car import CarDynamics, SimulatedCar
@@ -159,8 +160,8 @@ class SimulationScene:
         try:
             for obstacle in scenario.obstacles:
                 self.world.obstacle(obstacle)
-            for robot in scenario.robots:
-                self.actors.append(_actor(self.world, scenario, robot, seed, key, wiring or Loopback(), clock))
+            for robot, own in zip(scenario.robots, own_settings(scenario), strict=True):
+                self.actors.append(_actor(self.world, scenario, robot, own, seed, key, wiring or Loopback(), clock))
         except BaseException:
             self.close()
             raise
@@ -245,8 +246,10 @@ def _check_contacts(scenario: Scenario) -> None:
 
 
 def _actor(
-    world: SimulatedWorld, scenario: Scenario, robot: Robot, seed: int, key: bytes, wiring: Wiring, clock: Clock
-) -> Actor:
+    world: SimulatedWorld, scenario: Scenario, robot: Robot, own: tuple[str, int], seed: int, key: bytes,
+    wiring: Wiring, clock: Clock,
+) -> Actor:  # fmt: skip
+    """Return the simulated part of a robot. `own`: name and application id that its agent expects in datagrams."""
     make = device_class(robot.device)
     origin = scenario.origin
     harness: Mapping[str, Any] = scenario.harness
@@ -254,8 +257,8 @@ def _actor(
     own_seed = random.Random(f"{seed}/{robot.pid}").getrandbits(32)
     place = (origin.latitude, origin.longitude, origin.altitude)
     fault_state = FaultState()
-    context = DeviceContext(robot.name, robot.settings, harness, place, own_seed, key, wiring, fault_state,
-                            scenario.application_id)  # fmt: skip
+    name, application_id = own
+    context = DeviceContext(name, robot.settings, harness, place, own_seed, key, wiring, fault_state, application_id)
     slowed = DegradedActuators(body, fault_state, lambda: world.time)
     if robot.sim.fidelity == "simple":
         make = SIMPLE[robot.body]

@@ -6,7 +6,7 @@ host in real time, simulated time from 0 in lockstep."""
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO
@@ -21,6 +21,7 @@ from koordgen.runtime.trace.schema import (
     BadTrace,
     Header,
     Mark,
+    MemberPose,
     PoseRecord,
     RobotHeader,
     Round,
@@ -33,7 +34,7 @@ from koordgen.runtime.trace.schema import (
     encoded,
     format_of,
 )
-from targets.sim.base.bodies import BodyState
+from targets.sim.base.bodies import BodyState, Vector
 from targets.sim.trace.store_names import StoreNames
 
 LATE = 0.5  # share of delta: a round decided later than this is late
@@ -94,14 +95,24 @@ class Poses:
     def __init__(self, path: Path) -> None:
         self._file: IO[bytes] = path.open("wb")
 
-    def write(self, time: float, states: list[BodyState]) -> None:
+    def write(
+        self, time: float, states: Sequence[BodyState], members: Sequence[tuple[int, str, BodyState]] = ()
+    ) -> None:
+        """Write the poses of all robots by pid, and of the members of squads: pid of the squad, name, state."""
         for pid, state in enumerate(states):
-            place = (round(state.position[0], 5), round(state.position[1], 5), round(state.position[2], 5))
-            record = PoseRecord(pid, place, round(state.yaw, 5), time, LEFT_OUT)
+            record = PoseRecord(pid, _rounded(state), round(state.yaw, 5), time, LEFT_OUT)
             self._file.write(encoded(record) + b"\n")
+        for pid, name, state in members:
+            member = MemberPose(pid, name, _rounded(state), round(state.yaw, 5), time, LEFT_OUT)
+            self._file.write(encoded(member) + b"\n")
 
     def close(self) -> None:
         self._file.close()
+
+
+def _rounded(state: BodyState) -> Vector:
+    x, y, z = (round(c, 5) for c in state.position)
+    return x, y, z
 
 
 def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Path], marks: list[Mark]) -> None:

@@ -11,12 +11,14 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from koordgen.build.bundle import squads_harness
 from koordgen.build.bundle.plan import Files
 from koordgen.build.bundle.plan_squads import OUTER_SETTINGS
 from koordgen.build.bundle.write import write
 from koordgen.build.pipeline import Checked, Rejected, plan_file
-from koordgen.runtime.agent.squad import Squad
+from koordgen.runtime.agent.squad import APPLICATION, Squad
 from koordgen.runtime.config.settings import Settings
+from targets.sim.base.fleets import FOLDER, OF_FLEET
 from tests.build.squad_files import LINEFORM, TRIANGLE, fleet_files
 
 BUNDLES = ["alpha.ann", "alpha.bob", "alpha.cyd", "beta.eve", "beta.fay", "beta.gus", "dora"]
@@ -135,9 +137,26 @@ def test_bundles_of_some_targets_only(tmp_path: Path) -> None:
     assert sorted(planned(outer, ["quad"])[1]) == [*BUNDLES[:-1], "fleet"]
 
 
-def test_a_harness_does_not_support_squads(tmp_path: Path) -> None:
-    (found,) = errors(fleet_files(tmp_path), ["sim"])
-    assert found == "outer.yaml:6: F005 alpha is a fleet itself, which the target sim does not support"
+def test_the_bundle_of_the_simulator_has_all_robots_and_both_levels(tmp_path: Path) -> None:
+    sim = planned(fleet_files(tmp_path), ["sim"])[1]["sim"]
+    scenario = json.loads(sim["scenario.json"])
+    assert [(robot["name"], robot["pid"]) for robot in scenario["robots"]] == [
+        ("alpha.ann", 0), ("alpha.bob", 1), ("alpha.cyd", 2), ("dora", 3), ("beta.eve", 4), ("beta.fay", 5),
+        ("beta.gus", 6),
+    ]  # fmt: skip
+    outer, alpha, beta = scenario["fleets"]
+    assert (outer["name"], outer["members"], outer["app"]) == ("", ["alpha", 3, "beta"], scenario["app"])
+    assert (beta["name"], beta["members"], beta["delta"], beta["application_id"]) == ("beta", [4, 5, 6], 0.1, 3)
+    commanded = {"name": APPLICATION, "members": [0, 1, 2], "variables": {"goal": "triangle.goal"}}
+    assert alpha["applications"][-1] == commanded
+    assert set(OF_FLEET) == alpha.keys() - {"name", "members"}
+    assert {"program.py", "source/lineform.koord", "agents/alpha.ann/squad.py"} <= set(sim)
+    inner = {"applications.py", "program_triangle.py", "squad.py", "program.py", "source/triangle/triangle.koord"}
+    assert {f"{FOLDER}/beta/{path}" for path in inner} <= set(sim)
+
+
+def test_names_that_the_build_and_the_simulator_share() -> None:
+    assert (squads_harness.FLEETS, squads_harness.APPLICATION) == (FOLDER, APPLICATION)
 
 
 def test_a_record_that_is_too_large_for_the_inner_fleet(tmp_path: Path) -> None:

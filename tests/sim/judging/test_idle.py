@@ -49,7 +49,7 @@ def tasks(tmp_path: Path, timeout: float, ticks: bool = False, stops: bool = Fal
         text = text.replace("at[pid] = Motion.position + Point(0.001 * pid, 0, 0)", "stop")
     watched = Watched(tmp_path, text, n=2)
     idle = Idle(NAMES[:2], timeout)
-    idle.launched(watched.run_)  # type: ignore[arg-type]
+    idle.launched(watched.run_)
     watched.companions.append(idle)
     return watched
 

@@ -102,9 +102,9 @@ class Watched:
         self.watcher = watch.Watcher(self.found, NAMES[:n], self.fleet.delta, self.windows)
         agents = [Agent(SimpleNamespace(pid=pid, name=NAMES[pid])) for pid in range(n)]
         self.run_ = Run(agents, self.fleet)
-        self.companions: list[Companion] = [self.watcher]
+        self.companions: list[Companion[Any]] = [self.watcher]
         self.moved: Callable[[int, float, Any], Any] = lambda pid, t, place: place
-        self.watcher.launched(self.run_)  # type: ignore[arg-type]
+        self.watcher.launched(self.run_)
         self._steps = 0
 
     def run(self, seconds: float) -> Watched:

@@ -59,6 +59,28 @@ def test_the_report_plays_the_run(tmp_path: Path) -> None:
         assert page.complaints == []
 
 
+def test_squads_are_one_symbol_and_can_be_unfolded(tmp_path: Path) -> None:
+    robots = tuple(msgspec.structs.replace(robot, target="squad") for robot in HEAD.robots[:1]) + HEAD.robots[1:]
+    records = moving(STARTS, ENDS)
+    own = [record for record in records if record["pid"] == 0]
+    for name, off in (("ann", 0.6), ("cleo", -0.6)):
+        for record in own:
+            x, y, z = record["position"]
+            records.append({**record, "kind": "member", "member": name, "position": [x + off, y, z]})
+    head = msgspec.structs.replace(HEAD, robots=robots)
+    report.write(tmp_path / "report.html", write(tmp_path / "trace.jsonl", head, records))
+    with Browser(tmp_path / "profile") as page:
+        page.open(f"file://{tmp_path}/report.html#t=2.5")
+        assert page.text("closest") == f"closest: {HEAD.robots[0].name}.ann and {HEAD.robots[0].name}.cleo, 1.20 m"
+        assert page.value("model.drawn(state.unfolded).length") == 2
+        page.value("document.getElementById('unfold').click()")
+        page.wait("model.robots[0].unfolded", bool)
+        assert page.value("model.drawn(state.unfolded).map((robot) => robot.name.split('.').pop()).slice(0, 3)") == [
+            HEAD.robots[0].name, "ann", "cleo",
+        ]  # fmt: skip
+        assert page.complaints == []
+
+
 GREEN, RED = "rgb(27, 127, 75)", "rgb(176, 0, 32)"
 
 

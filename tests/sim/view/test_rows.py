@@ -10,12 +10,14 @@ from typing import Any
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 from koordgen.runtime.trace import schema
 from koordgen.runtime.trace.schema import (
     End,
     EventFault,
     InitRecord,
+    MemberPose,
     MetricsRecord,
     PeerQuality,
     PoseRecord,
@@ -52,6 +54,22 @@ def rows(*records: TraceRecord) -> dict[str, list[list[Any]]]:
         made.add(record, record.t)
     made.end()
     return made.taken()
+
+
+def test_robots_of_squads_have_rows_of_their_own_and_count_for_the_closest_pair() -> None:
+    robots = tuple(replace(r, target=target) for r, target in zip(HEAD.robots, ("squad", "car"), strict=True))
+    made = Rows(replace(HEAD, robots=robots))
+    for t in (1.0, 1.5):
+        made.add(PoseRecord(0, (0.0, 0.0, 1.0), 0.0, t=t), t)
+        made.add(PoseRecord(1, (0.0, 0.1, 1.0), 0.0, t=t), t)
+        for name, x in (("ann", -1.0), ("cleo", 1.0)):
+            made.add(MemberPose(0, name, (x, t, 1.0), 0.25, t=t), t)
+    found = made.taken()
+    assert found["members"][:2] == [[0, 1.0, "ann", -1.0, 1.0, 1.0, 0.25], [0, 1.0, "cleo", 1.0, 1.0, 1.0, 0.25]]
+    assert found["near"] == [[1.0, 1.345, 1, "alice.ann"]], "the place of the squad itself is no robot"
+    history = History(HEAD)
+    history.extend(found)
+    assert history.whole()["members"] == sorted(found["members"], key=lambda row: row[2])
 
 
 def test_a_round_tells_its_outcome_its_writes_where_it_leads_and_how_late_it_was() -> None:

@@ -33,6 +33,8 @@ class History:
         series = max(1, sum(robots if v.kind == "allread" else 1 for v in header.shared if v.name not in maps))
         self._maps = maps
         self._poses = [_Thinned(min(MOST_POSES, ALL_POSES // robots)) for _ in header.robots]
+        self._members: dict[tuple[int, str], _Thinned] = {}
+        self._most_of_member = min(MOST_POSES, ALL_POSES // robots) // 4
         self._rounds = [_Rounds(min(MOST_ROUNDS, ALL_ROUNDS // robots)) for _ in header.robots]
         self._shared: dict[tuple[str, int], _Values] = {}
         self._locals: dict[tuple[int, str], _Values] = {}
@@ -53,6 +55,9 @@ class History:
                 case "poses":
                     for row in rows:
                         self._poses[row[0]].add(row)
+                case "members":
+                    for row in rows:
+                        self._members.setdefault((row[0], row[2]), _Thinned(self._most_of_member)).add(row)
                 case "rounds":
                     for row in rows:
                         self._rounds[row[0]].add(row)
@@ -101,6 +106,7 @@ class History:
             "shared": sorted((row for s in self._shared.values() for row in s.rows()), key=lambda row: float(row[2])),
             "locals": sorted((row for s in self._locals.values() for row in s.rows()), key=lambda row: float(row[1])),
             "near": list(self._near.rows()),
+            **({"members": [row for each in self._members.values() for row in each.rows()]} if self._members else {}),
             **{table: list(rows) for table, rows in self._kept.items()},
         }
 

@@ -6,6 +6,7 @@ visible.
 | table | rows |
 |---|---|
 | poses | pid, t, x, y, z, yaw |
+| members | pid of a squad, t, name of one of its robots, x, y, z, yaw |
 | rounds | pid, first t, last t, number of equal rounds, outcome (0 event, 1 skipped, 2 fault), event or reason |
 | phases | pid, t, phase, detail |
 | logs | pid, t, level, text |
@@ -15,7 +16,7 @@ visible.
 | scans | pid, t, position of the lidar, hits of its rays: cm east and north of there, alternating |
 | late | pid, t of a second, longest lateness in it (s), rounds, late rounds |
 | links | pid, t, [[peer, loss, delay p50, p99 (ms), silent (ms), repeats]], datagrams rejected |
-| near | t, distance of the closest pair (m), their pids |
+| near | t, distance of the closest pair (m), their pids; of a robot of a squad its name |
 | marks | t, kind, what, robots' names, detail; for a cause with a duration also that (s) |
 | obstacles | t, number, the obstacle at its new position |
 | markers | t, number, state (0 to do, 1 taken, 2 done); in the first row of a listed marker: name, position, radius |
@@ -23,6 +24,7 @@ visible.
 
 from __future__ import annotations
 
+import itertools
 import math
 from contextlib import suppress
 from typing import Any
@@ -37,6 +39,7 @@ from koordgen.runtime.trace.schema import (
     Header,
     InitRecord,
     LogLine,
+    MemberPose,
     MetricsRecord,
     Monitor,
     Moved,
@@ -50,6 +53,7 @@ from koordgen.runtime.trace.schema import (
 )
 from koordgen.runtime.values.points import Point, Scan
 from targets.sim.base.bodies import Vector
+from targets.sim.base.fleets import SQUAD
 from targets.sim.trace.files import was_late
 from targets.sim.trace.monitor_reports import DisplayFilter, status_text
 from targets.sim.view.data.markers import Markers
@@ -71,7 +75,8 @@ class Rows:
         self._delta = header.delta
         self._chunk: Chunk = {}
         self._second: dict[int, list[Any]] = {}
-        self._near = _Nearest(self._count)
+        self._squads = {robot.pid for robot in header.robots if robot.target == SQUAD}
+        self._near: _Nearest | _NearestOfAll = _NearestOfAll() if self._squads else _Nearest(self._count)
         self._paths: dict[int, bytes] = {}
         self._scanned: dict[int, float] = {}  # time of each robot's last row of `scans`
         self._markers = Markers(header)
@@ -106,6 +111,10 @@ class Rows:
             case Monitor() if 0 <= record.pid < self._count and self._notable.add(record):
                 detail = ": ".join(filter(None, (record.line, record.why)))
                 self._add("marks", [t, "monitor", status_text(record), [self._names[record.pid]], detail])
+            case MemberPose(pid=pid, member=member, position=position) if 0 <= pid < self._count:
+                self._add("members", [pid, t, member, *(_small(c) for c in position), round(record.yaw, 3)])
+                if (near := self._near.add(f"{self._names[pid]}.{member}", t, position)) is not None:
+                    self._add("near", near)
             case PoseRecord() | Phase() | InitRecord() | Round() | LogLine() | StreamLine() | MetricsRecord() if (
                 0 <= record.pid < self._count
             ):
@@ -121,7 +130,7 @@ class Rows:
             case PoseRecord(position=position, yaw=yaw):
                 self._add("poses", [pid, t, *(_small(c) for c in position), round(yaw, 3)])
                 self._markers.pose(position, t)
-                if (near := self._near.add(pid, t, position)) is not None:
+                if pid not in self._squads and (near := self._near.add(pid, t, position)) is not None:
                     self._add("near", near)
             case Phase(phase=phase, detail=detail):
                 self._add("phases", [pid, t, phase, detail])
@@ -240,7 +249,7 @@ class _Nearest:
         self._left, self._right = np.triu_indices(count, 1)
         self._last = count - 1
 
-    def add(self, pid: int, t: float, position: Vector) -> list[Any] | None:
+    def add(self, pid: Any, t: float, position: Vector) -> list[Any] | None:
         self._places[pid] = position
         if pid != self._last or pid == 0:
             return None
@@ -249,6 +258,30 @@ class _Nearest:
         if math.isnan(apart[k]):
             return None
         return [t, _small(float(apart[k])), int(self._left[k]), int(self._right[k])]
+
+
+class _NearestOfAll:
+    """Distance of the closest pair at each time, of any robots: those of squads, by their names, and others by pid."""
+
+    def __init__(self) -> None:
+        self._t = -math.inf
+        self._places: dict[int | str, Vector] = {}
+
+    def add(self, who: int | str, t: float, position: Vector) -> list[Any] | None:
+        """Add a pose. Return the row of the time before, if the pose is the first one of a time."""
+        row = None
+        if t != self._t:
+            row, self._t, self._places = self._row(), t, {}
+        self._places[who] = position
+        return row
+
+    def _row(self) -> list[Any] | None:
+        if len(self._places) < 2:
+            return None
+        distance, one, other = min(
+            (math.dist(a, b), i, j) for (i, a), (j, b) in itertools.combinations(self._places.items(), 2)
+        )
+        return [self._t, _small(distance), one, other]
 
 
 def _together(a: list[Any], b: list[Any]) -> list[Any]:

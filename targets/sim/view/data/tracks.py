@@ -35,7 +35,7 @@ class Tracks:
 
     `times[pid]` (s) and `places[pid]` (one row x, y, z in m, yaw in rad per sample). `near`: t and smallest distance.
     `maps`: GridMaps over time by variable and slot (-1: an allwrite variable). `paths[pid]`: t and points. `end`: the
-    mission's end. `violations`: t, kind and robots."""
+    mission's end. `violations`: t, kind and robots. `members[pid]`: robot of a squad -> rows t, x, y, z, yaw."""
 
     header: Header
     times: list[Array]
@@ -46,6 +46,7 @@ class Tracks:
     markers: list[MarkerHistory]
     maps: dict[tuple[str, int], list[tuple[float, Any]]]
     paths: list[list[tuple[float, Array]]]
+    members: list[dict[str, Array]]
 
     def span(self) -> tuple[float, float]:
         """Return the first and the last time."""
@@ -66,6 +67,9 @@ def tracks(header: Header, rows: Chunk) -> Tracks:
     paths: list[list[tuple[float, Array]]] = [[] for _ in header.robots]
     for pid, t, points in rows["paths"]:
         paths[pid].append((t, np.array(points, dtype=np.float64).reshape(-1, 3)))
+    of_squads: list[dict[str, list[list[float]]]] = [{} for _ in header.robots]
+    for pid, t, name, *pose in rows.get("members", ()):
+        of_squads[pid].setdefault(name, []).append([t, *pose])
     markers = [MarkerHistory(m.position, m.radius, []) for m in header.world.markers]
     for t, number, state, *more in rows["markers"]:
         if more and number == len(markers):
@@ -86,6 +90,7 @@ def tracks(header: Header, rows: Chunk) -> Tracks:
         markers,
         maps,
         paths,
+        [{name: np.array(each, dtype=np.float64) for name, each in squad.items()} for squad in of_squads],
     )
 
 

@@ -146,8 +146,9 @@ class Messages:
             changed.append(scene.marker(at, number, *self._markers[number], state))
         if changed:
             yield "/scene", "foxglove.SceneUpdate", _scene(changed)
-        for t, distance, a, b in rows.get("near", ()):
-            told = {"t": t, "distance": distance, "robots": [self._names[a], self._names[b]]}
+        for t, distance, *pair in rows.get("near", ()):
+            named = [who if isinstance(who, str) else self._names[who] for who in pair]
+            told = {"t": t, "distance": distance, "robots": named}
             yield "/separation", "koord.Separation", told
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,7 @@ def _top(found: Tracks, path: Path) -> Path:
         axes.plot(x, y, linewidth=1.6, alpha=0.85, **style)
         axes.plot(x[0], y[0], marker, markersize=9, markerfacecolor="white", markeredgewidth=1.6, color=style["color"])
         axes.plot(x[-1], y[-1], marker, markersize=10, color=style["color"], markeredgecolor="white", zorder=3)
+        _draw_members(axes, found.members[pid], until, style)
         name = axes.annotate(
             f"{robot.name} ({robot.pid})", (x[-1], y[-1]), xytext=(9, 7), textcoords="offset points",
             color=style["color"], fontweight="bold", path_effects=ground.HALO, zorder=5,
@@ -129,6 +130,14 @@ def _top(found: Tracks, path: Path) -> Path:
     _legend(axes, found)
     move_apart(figure, names)
     return _save(figure, path)
+
+
+def _draw_members(axes: Any, members: Mapping[str, Any], until: float, style: Mapping[str, Any]) -> None:
+    """Draw the ways of a squad's robots up to a time, with their places then."""
+    for member in members.values():
+        own = member[member[:, 0] <= until] if (member[:, 0] <= until).any() else member[:1]
+        axes.plot(own[:, 1], own[:, 2], linewidth=0.8, alpha=0.5, **style)
+        axes.plot(own[-1, 1], own[-1, 2], ".", markersize=9, color=style["color"], zorder=2.8)
 
 
 def move_apart(figure: Any, labels: Sequence[Any]) -> None:

@@ -82,6 +82,7 @@ PLAYER = """
 <div class="views">
 <figure><div class="tabs"><button id="above" aria-pressed="true">from above</button>
 <button id="deep" aria-pressed="false" title="the map in three dimensions">3D</button>
+<button id="unfold" aria-pressed="false" title="show the robots of each squad" hidden>unfold squads</button>
 <span id="space-bar" hidden><select id="chase" title="the camera goes along with a robot"></select>
 <button id="whole" title="show the whole room again">whole room</button></span>
 <span id="space-why" class="dim"></span></div>

@@ -113,8 +113,9 @@ def _summary(trace: Path, header: Header, rows: Chunk) -> Summary:
     ends = [(row[0], row[2]) for row in rows["marks"] if row[1] == "end"]
     duration, ended = ends[0] if ends else (max((row[1] for row in rows["poses"]), default=0.0), "interrupted")
     near = min(rows["near"], key=lambda row: float(row[1]), default=None)
-    closest = Closest(near[1], near[0], (near[2], near[3])) if near else None
-    outcome = RunResult(header.started, ended, 0.0, duration, [], closest, 0.0, 0, 0)
+    closest = Closest(near[1], near[0], (0, 1)) if near else None
+    pair = [who if isinstance(who, str) else header.robots[who].name for who in near[2:]] if near else []
+    outcome = RunResult(header.started, ended, 0.0, duration, [], closest, 0.0, 0, 0, names=tuple(pair))
     return summarise(*read(trace), outcome)
 
 

@@ -4,7 +4,7 @@
 const given = JSON.parse(document.getElementById("data").textContent);
 const model = new Model(given.header);
 const $ = (id) => document.getElementById(id);
-const state = { now: 0, playing: false, live: Boolean(given.live), zoom: 1, moved: true, due: 0 };
+const state = { now: 0, playing: false, unfolded: false, live: Boolean(given.live), zoom: 1, moved: true, due: 0 };
 const charts = {};
 let source = null; // of a live page's events
 
@@ -117,9 +117,9 @@ function chaseChoices() {
 
 function drawMapView(now, tail, map) {
   const labels = { xlabel: "x, east (m)", ylabel: "y, north (m)" };
-  if (!state.deep) return scene($("top"), model, now, { across: 0, up: 1, labels, most: 620, tail, map });
+  if (!state.deep) return scene($("top"), model, now, { across: 0, up: 1, labels, most: 620, tail, map, unfolded: state.unfolded });
   const chase = model.robots.find((robot) => String(robot.pid) === $("chase").value);
-  return state.space.draw(now, { tail, map, chase, height: Math.min(620, 0.75 * $("space").clientWidth) });
+  return state.space.draw(now, { tail, map, chase, unfolded: state.unfolded, height: Math.min(620, 0.75 * $("space").clientWidth) });
 }
 
 // ---- tables
@@ -224,7 +224,7 @@ function draw() {
   const now = state.now, at = span(), tail = Number($("tail").value), map = chosenMap();
   drawMapView(now, tail, map);
   const across = Number($("side-axis").value), side = { xlabel: across ? "y, north (m)" : "x, east (m)", ylabel: "z, up (m)" };
-  scene($("side"), model, now, { across, up: 2, labels: side, most: 260, tail });
+  scene($("side"), model, now, { across, up: 2, labels: side, most: 260, tail, unfolded: state.unfolded });
   for (const axis of ["x", "y", "z"]) charts[axis] = coordinate($(`${axis}-t`), model, axis, at, now, 190);
   charts.timeline = timeline($("timeline"), model, at, now);
   const asked = model.header.min_separation || 0;
@@ -243,7 +243,8 @@ function draw() {
 
 function closest() {
   const row = model.at(model.near, state.now, 0);
-  $("closest").textContent = row ? `closest: ${model.robots[row[2]].name} and ${model.robots[row[3]].name}, ${number(row[1])} m` : "";
+  const name = (who) => (typeof who === "string" ? who : model.robots[who].name); // robots of squads are named
+  $("closest").textContent = row ? `closest: ${name(row[2])} and ${name(row[3])}, ${number(row[1])} m` : "";
   const told = ["violation", "cause", "monitor"], recent = ([t, kind]) => told.includes(kind) && t <= state.now && t > state.now - 3;
   const found = model.marks.filter(recent).slice(-2);
   $("alarm").textContent = found.map(([, kind, what, who]) => `${kind}: ${what} ${who.join(", ")}`).join("; ");
@@ -256,6 +257,7 @@ function refresh() {
   mapChoices();
   whoChoices();
   chaseChoices();
+  $("unfold").hidden = !model.robots.some((robot) => robot.members.size);
   eventChips();
   marksTable();
   if ($("history").open) writes();
@@ -315,6 +317,11 @@ function wire() {
   $("out").onclick = () => { state.zoom = Math.max(1, state.zoom / 2); state.moved = true; };
   $("above").onclick = () => deepen(false);
   $("deep").onclick = () => deepen(true);
+  $("unfold").onclick = () => {
+    state.unfolded = !state.unfolded;
+    $("unfold").setAttribute("aria-pressed", String(state.unfolded));
+    state.moved = true;
+  };
   $("whole").onclick = () => { $("chase").value = ""; state.space.look(); state.moved = true; };
   $("space-view").onpointermove = (event) => tip(event, state.space && !event.buttons ? state.space.hovered(event.offsetX, event.offsetY) : "");
   $("space-view").onpointerleave = () => tip(null, "");

@@ -9,6 +9,7 @@ class Model {
     this.robots = header.robots.map((robot) => ({
       ...robot, shown: true, t: [], x: [], y: [], z: [], yaw: [],
       rounds: [], phases: [], logs: [], paths: [], scans: [], late: [], links: [], locals: new Map(),
+      members: new Map(), // of a squad: its robots by name
     }));
     this.shared = (header.shared || []).map((variable) => ({ ...variable, series: new Map() }));
     this.near = [];
@@ -23,7 +24,7 @@ class Model {
 
   // Takes in a chunk of rows; unknown tables are passed over.
   extend(chunk) {
-    for (const table of ["poses", "phases", "logs", "paths", "scans", "late", "links", "rounds", "locals"])
+    for (const table of ["poses", "members", "phases", "logs", "paths", "scans", "late", "links", "rounds", "locals"])
       for (const row of chunk[table] || []) {
         const robot = this.robots[row[0]];
         if (robot) { this["_" + table](robot, row); this._seen(row[1]); }
@@ -48,6 +49,12 @@ class Model {
     robot.t.push(t); robot.x.push(x); robot.y.push(y); robot.z.push(z); robot.yaw.push(yaw);
     if (robot.t.length > MOST_KEPT)
       for (const key of ["t", "x", "y", "z", "yaw"]) robot[key] = robot[key].filter((_, k) => k % 2);
+  }
+
+  _members(squad, [pid, t, name, x, y, z, yaw]) {
+    const own = { name: `${squad.name}.${name}`, target: "", shown: true, t: [], x: [], y: [], z: [], yaw: [], paths: [], scans: [], members: new Map() };
+    if (!squad.members.has(name)) squad.members.set(name, { ...own, pid: squad.pid });
+    this._poses(squad.members.get(name), [pid, t, x, y, z, yaw]);
   }
 
   _phases(robot, row) { robot.phases.push(row); }
@@ -99,8 +106,10 @@ class Model {
   forget(before) {
     const drop = (rows, end) => { let k = 0; while (k + 1 < rows.length && end(rows[k + 1]) < before) k++; rows.splice(0, k); };
     for (const robot of this.robots) {
-      const k = Math.max(0, upTo(robot.t, before));
-      for (const key of ["t", "x", "y", "z", "yaw"]) robot[key].splice(0, k);
+      for (const each of [robot, ...robot.members.values()]) {
+        const k = Math.max(0, upTo(each.t, before));
+        for (const key of ["t", "x", "y", "z", "yaw"]) each[key].splice(0, k);
+      }
       for (const table of ["rounds", "phases", "logs", "paths", "late", "links"]) drop(robot[table], (row) => row[1]);
     }
     for (const { series } of this.shared) for (const writes of series.values()) drop(writes, (write) => write.t);
@@ -113,6 +122,18 @@ class Model {
     const found = [...(this.header.obstacles || [])];
     for (const [at, number, obstacle] of this.moved) if (at <= t && number < found.length) found[number] = obstacle;
     return found;
+  }
+
+  // The robots to draw: of an unfolded squad its own robots, after the squad itself.
+  drawn(unfolded) {
+    for (const robot of this.robots) robot.unfolded = Boolean(unfolded && robot.members.size);
+    return this.robots.filter((robot) => robot.shown).flatMap((robot) => (robot.unfolded ? [robot, ...robot.members.values()] : [robot]));
+  }
+
+  // The largest distance of a squad's robots from its position, in plan view.
+  reach(squad, pose, t) {
+    const away = [...squad.members.values()].map((member) => this.pose(member, t)).filter(Boolean);
+    return Math.max(0.3, ...away.map(([x, y]) => Math.hypot(x - pose[0], y - pose[1])));
   }
 
   pid(name) { return this.robots.findIndex((robot) => robot.name === name); }

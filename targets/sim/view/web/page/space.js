@@ -62,7 +62,7 @@ class Space {
     this.controls.update();
   }
 
-  draw(now, { tail, map, chase, height }) {
+  draw(now, { tail, map, chase, height, unfolded }) {
     const width = Math.max(60, this.flat.clientWidth), area = pen(this.flat, height);
     this.renderer.setPixelRatio(window.devicePixelRatio || 1);
     this.renderer.setSize(width, height, false);
@@ -73,7 +73,7 @@ class Space {
     this._chase(chase && this.model.pose(chase, now));
     this.controls.update();
     this.camera.updateMatrixWorld();
-    this._replace("moving", this._moving(now, tail, map, [width, height]));
+    this._replace("moving", this._moving(now, tail, map, [width, height], unfolded));
     this.renderer.render(this.world, this.camera);
     this._words(area, now);
   }
@@ -104,12 +104,12 @@ class Space {
     this.world.add(group);
   }
 
-  _moving(now, tail, map, size) {
+  _moving(now, tail, map, size, unfolded) {
     const group = new THREE.Group(), model = this.model;
     if (isMap(map) && map[3]) group.add(this._grid(map));
     for (const marker of model.markers.filter(Boolean)) group.add(place(model, marker, now));
     this.placed = [];
-    for (const robot of model.robots.filter((each) => each.shown)) {
+    for (const robot of model.drawn(unfolded)) {
       const pose = model.pose(robot, now);
       if (!pose) continue;
       if (tail > 10) group.add(gone(robot, -Infinity, now, { width: 1.4, alpha: 0.45 }));
@@ -118,7 +118,8 @@ class Space {
       figure.position.set(...pose.slice(0, 3));
       figure.rotation.z = pose[3];
       figure.scale.setScalar(scale);
-      group.add(figure, ...below(pose, scale), ...wanted(model, robot, now, pose), ...scanned(model, robot, now));
+      const seen = robot.unfolded ? [] : [figure, ...below(pose, scale)];
+      for (const each of [...seen, ...wanted(model, robot, now, pose), ...scanned(model, robot, now)]) group.add(each);
       this.placed.push({ robot, pose, beside: Math.max(0, (0.2 * scale) / pixel - 12), ...this._pixel(pose, size) });
     }
     return group;
@@ -324,7 +325,10 @@ function vehicle(robot) {
     group.add(found);
     return found;
   };
-  if (flies(robot)) {
+  if (robot.target === "squad") {
+    part(shapes().disc, coat(colour(robot.pid)), 0, 0, 0.02).rotation.x = Math.PI / 2;
+    for (let k = 0; k < 3; k++) part(shapes().rotor, dark, 0.17 * Math.cos(2.094 * k), 0.17 * Math.sin(2.094 * k), 0.05).rotation.x = Math.PI / 2;
+  } else if (flies(robot)) {
     part(shapes().hull, own, 0.01, 0, 0.045);
     part(shapes().nose, dark, 0.15, 0, 0.045);
     for (const angle of [1, -1]) part(shapes().arm, dark, 0, 0, 0.04).rotation.z = (angle * Math.PI) / 4;
@@ -343,6 +347,7 @@ function shapes() {
   shapes.made = shapes.made || {
     hull: new THREE.BoxGeometry(0.16, 0.09, 0.05), nose: new THREE.BoxGeometry(0.14, 0.035, 0.035), arm: new THREE.BoxGeometry(0.4, 0.022, 0.018),
     rotor: new THREE.CylinderGeometry(ROTOR, ROTOR, 0.012, 24), chassis: new THREE.BoxGeometry(0.5, 0.22, 0.09),
+    disc: new THREE.CylinderGeometry(0.32, 0.32, 0.03, 40),
     cabin: new THREE.BoxGeometry(0.22, 0.19, 0.07), glass: new THREE.BoxGeometry(0.02, 0.17, 0.055), wheel: new THREE.CylinderGeometry(0.06, 0.06, 0.05, 20),
   };
   for (const geometry of Object.values(shapes.made)) geometry.kept = true;

@@ -130,6 +130,23 @@ function ahead(chart, model, robot, now, pose, across, up) {
   stroke(chart.ctx, [[px - 4, py + 4], [px + 4, py - 4]], colour(robot.pid), { width: 1.8 });
 }
 
+// A squad: a ring with three discs, or, with its robots unfolded, a dashed ring around them.
+function squad(chart, robot, px, py, reach) {
+  const { ctx } = chart, size = Math.max(chart.scale, 42), radius = robot.unfolded ? (reach + 0.35) * chart.scale : 0.34 * size;
+  ctx.strokeStyle = ctx.fillStyle = colour(robot.pid);
+  ctx.lineWidth = robot.unfolded ? 1.2 : 2.4;
+  ctx.setLineDash(robot.unfolded ? [5, 4] : []);
+  ctx.beginPath();
+  ctx.arc(px, py, radius, 0, 7);
+  ctx.stroke();
+  ctx.setLineDash([]);
+  for (let k = 0; k < 3 && !robot.unfolded; k++) {
+    ctx.beginPath();
+    ctx.arc(px + 0.17 * size * Math.cos(2.094 * k), py + 0.17 * size * Math.sin(2.094 * k), 0.09 * size, 0, 7);
+    ctx.fill();
+  }
+}
+
 function body(chart, robot, px, py, yaw) {
   const { ctx } = chart, size = Math.max(chart.scale, flies(robot) ? 56 : 42);
   ctx.save();
@@ -184,7 +201,7 @@ function names(chart, placed) {
   }
 }
 
-function scene(canvas, model, now, { across, up, labels, most, tail, map }) {
+function scene(canvas, model, now, { across, up, labels, most, tail, map, unfolded }) {
   const box = room(model), chart = level(canvas, view(model, box, up), across, up, labels, most);
   if (map) drawMap(chart, map);
   for (const obstacle of model.obstacles(now)) solid(chart, obstacle, across, up);
@@ -194,7 +211,7 @@ function scene(canvas, model, now, { across, up, labels, most, tail, map }) {
   if (up === 2) stroke(chart.ctx, [[0, chart.y(0)], [chart.width, chart.y(0)]], STONE_EDGE, { width: 1 });
   markers(chart, model, now, across, up);
   const placed = [];
-  for (const robot of model.robots.filter((each) => each.shown)) {
+  for (const robot of model.drawn(unfolded)) {
     const pose = model.pose(robot, now);
     if (!pose) continue;
     if (tail > 10) trail(chart, robot, -Infinity, now, across, up, { width: 1.4, alpha: 0.45 });
@@ -203,8 +220,9 @@ function scene(canvas, model, now, { across, up, labels, most, tail, map }) {
     placed.push({ robot, pose, px: chart.x(pose[across]), py: chart.y(pose[up]) });
   }
   for (const { robot, pose, px, py } of placed)
-    if (up === 1) body(chart, robot, px, py, pose[3]);
-    else { chart.ctx.fillStyle = colour(robot.pid); chart.ctx.fillRect(px - 8, py - (flies(robot) ? 3 : 7), 16, flies(robot) ? 6 : 7); }
+    if (up === 1 && robot.target === "squad") squad(chart, robot, px, py, model.reach(robot, pose, now));
+    else if (up === 1) body(chart, robot, px, py, pose[3]);
+    else if (!robot.unfolded) { chart.ctx.fillStyle = colour(robot.pid); chart.ctx.fillRect(px - 8, py - (flies(robot) ? 3 : 7), 16, flies(robot) ? 6 : 7); }
   alarms(chart, model, now, placed);
   names(chart, placed);
   chart.end();
@@ -224,7 +242,7 @@ function view(model, [low, high], up) {
 function alarms(chart, model, now, placed) {
   const named = new Set(model.marks.filter(([t, kind]) => kind === "violation" && Math.abs(t - now) < 1).flatMap((mark) => mark[3]));
   for (const { robot, px, py } of placed)
-    if (named.has(robot.name)) {
+    if (named.has(robot.name) || (!robot.unfolded && [...robot.members.values()].some((each) => named.has(each.name)))) {
       chart.ctx.beginPath();
       chart.ctx.arc(px, py, 22, 0, 7);
       stroke(chart.ctx, [], RED);
