@@ -24,7 +24,7 @@ class Unhosted:
     def claim(self, s: Transaction) -> None:
         """Do nothing."""
 
-    def has_news(self, s: Transaction) -> bool:
+    def has_unwritten(self, s: Transaction) -> bool:
         return False
 
     def write(self, s: Transaction) -> None:

@@ -92,7 +92,7 @@ from applications import FLEET
 from koordgen.runtime.agent.squad import SensorValues
 from koordgen.runtime.values.points import Point
 from squad import SQUAD
-fleet = SQUAD.with_outer(FLEET, 3, SimpleNamespace(may_claim=None, claim=None, has_news=None, write=None))
+fleet = SQUAD.with_outer(FLEET, 3, SimpleNamespace(may_claim=None, claim=None, has_unwritten=None, write=None))
 store = {v.name: (v.initial(),) * 3 if v.kind == "allread" else v.initial() for v in fleet.shared()}
 store |= {"shape.corner": (Point(1, 0, 0), Point(3, 0, 0), Point(2, 0, 0)), "shape.goal": Point(2, 0, 0)}
 for port, value in SensorValues(SQUAD, fleet).of(store).items():

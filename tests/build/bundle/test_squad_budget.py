@@ -32,7 +32,7 @@ from tests.lang.semantics.compositions import compiled
 
 SPAN = Span(1, 1, 1, 2)
 NAMES = ("ann", "bob", "cyd")
-NO_EVENTS: Any = SimpleNamespace(may_claim=None, claim=None, has_news=None, write=None)
+NO_EVENTS: Any = SimpleNamespace(may_claim=None, claim=None, has_unwritten=None, write=None)
 
 
 def inner() -> System:
