@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.agent.squad import STORED
+from koordgen.runtime.values.points import Opaque, Point, distance
 from tests.squads.levels import Levels
 
 LINE = """
@@ -94,3 +95,13 @@ def test_the_outer_robot_holds_without_an_inner_majority() -> None:
     assert levels.run(
         60, lambda: any(p == 1 and r > ended + 20 and levels.records[p, r].event for p, r in levels.records)
     )
+
+
+def test_a_record_that_no_host_wrote_stops_the_inner_robots_safely() -> None:
+    levels = Levels(COUNT, [3, 0, 0])
+    levels.run_rounds(4)
+    host = levels.host(0)
+    assert host is not None and host.host is not None and host.agent.state is not None
+    host.agent.state.shared = {**host.agent.state.shared, STORED: Opaque(b"no record")}
+    assert levels.run(20, lambda: all(levels.nodes[p].agent.phase == "stopped" for p in levels.places(0)))
+    assert any("internal error, please report it" in line for line in host.lines)

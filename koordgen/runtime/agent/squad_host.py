@@ -10,6 +10,7 @@ and all messages that wait."""
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from hashlib import blake2s
@@ -145,7 +146,19 @@ class SquadHost:
     # The outer agent.
 
     def poll(self, now: float) -> float:
-        """Do all work that is due at local time `now`. Return the latest local time for the next call."""
+        """Do all work that is due at local time `now`. Return the latest local time for the next call.
+
+        Never raises: after an error all inner robots stop safely."""
+        try:
+            return self._poll(now)
+        except Exception:
+            self._over = True
+            self._drop()
+            self.around.emit("error", "internal error, please report it:\n" + traceback.format_exc())
+            self.stop("internal error of the outer robot")
+            return math.inf
+
+    def _poll(self, now: float) -> float:
         if self.outer is not None and self._is_replaced():
             self._drop()
         if self.outer is None:
