@@ -30,42 +30,15 @@ from koordgen.runtime.replication.log import Logged
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import RoundRecord, Trace
 from koordgen.runtime.values.clock import SimulatedClock
-from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.drivers import with_drivers
+from tests.build.squad_files import TRIANGLE
 from tests.composed.agents import Applied, CountedEvents
 from tests.lang.semantics.compositions import compiled
 
 INNER = 0.1  # seconds in a round of the inner fleets
 OUTER = 0.5  # seconds in a round of the outer fleet
 QUIET = Conditions(delay=0.001, jitter=0.004)
-
-TRIANGLE = """
-provides Motion:
-  sensors:
-    Point position = middle(corner)
-    bool reached = distance(middle(corner), goal) <= 0.2
-  actuators: Point target = goal
-using Motion:
-  sensors: Point position
-  actuators: Point target
-allwrite:
-  Point goal
-  int turns
-allread: Point corner[N_SYS]
-fun middle(List<Point> ps) -> Point:
-  Point sum = Point(0, 0, 0)
-  for p in ps:
-    sum = sum + p
-  return sum / max(len(ps), 1)
-init:
-  corner[pid] = Motion.position
-Go:
-  pre: True
-  eff:
-    turns = turns + 1
-    Motion.target = goal + Point(pid, 0, 0)
-    corner[pid] = Motion.position
-"""
 
 
 def loaded(name: str, text: str) -> Any:
@@ -82,13 +55,11 @@ _triangle = loaded("program_triangle", TRIANGLE)
 
 def squad_of(outer: Program) -> Squad:
     """Return the squad of triangles that an outer program sees."""
-    sensors = {
-        "Motion.position": lambda s: _triangle.fun_middle(s.shared_corner.all),
-        "Motion.reached": lambda s: (
-            distance(_triangle.fun_middle(s.shared_corner.all), s.shared_goal.value + Point(1, 0, 0)) <= 0.2
-        ),
-    }
     used = {port.name for port in outer.ports}
+    sensors = {
+        "Motion.position": _triangle.provided_motion_position,
+        "Motion.reached": _triangle.provided_motion_reached,
+    }
     return Squad(0, {n: f for n, f in sensors.items() if n in used}, {"Motion.target": "goal"}, outer)
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
 from koordgen.runtime.agent.squad import STORED
+from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.values.points import Opaque, Point, distance
 from tests.squads.levels import Levels
 
@@ -30,7 +33,7 @@ def test_a_squad_takes_part_in_the_outer_fleet() -> None:
     levels.run_rounds(20)
     middle = (levels.nodes[0].platform.position + levels.nodes[4].platform.position) / 2
     position = levels.records[1, 20].sensors["Motion.position"]
-    assert distance(position, middle + Point(1, 0, 0)) < 0.1, (position, middle)
+    assert distance(position, middle) < 0.1, (position, middle)
     assert levels.records[1, 20].event == "Update"
 
 
@@ -54,6 +57,42 @@ Count:
     k += 1
     own[pid] = k + total
 """
+
+
+GO = """
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target at position clears reached
+local: int k
+Go:
+  pre: Motion.reached
+  eff:
+    k += 1
+    Motion.target = Point(2 * (k % 2), 0, 1)
+"""
+
+
+@pytest.mark.parametrize("kills", [0, 1])
+def test_a_command_clears_a_sensor_until_the_inner_fleet_has_it_and_reaches_it(kills: int) -> None:
+    levels = Levels(GO, [3, 0, 0], 1, Conditions(loss=0.1, delay=0.001, jitter=0.01))
+    levels.run_rounds(4)
+    if kills:
+        levels.kill(0)
+        levels.run(3.0)
+        levels.boot(0)
+    levels.run_rounds(40)
+    commanded: list[Point] = []
+    for round_ in range(1, levels.complete):
+        record = levels.records.get((0, round_))
+        if record is None or record.event is None:
+            continue
+        if commanded:
+            assert distance(record.sensors["Motion.position"], commanded[-1]) < 0.2, (round_, commanded[-1])
+        assert record.effects is not None
+        commanded.append(record.effects.actuators["Motion.target"])
+    assert len(commanded) >= 4 and commanded == [Point(2 * (k % 2), 0, 1) for k in range(1, len(commanded) + 1)]
 
 
 def test_the_host_is_the_robot_of_lowest_pid_and_keeps_the_outer_robot() -> None:
