@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from koordgen.build.pipeline import plan_file
 from koordgen.cli import main
 from tests.build.squad_files import LINEFORM, fleet_files
 
@@ -48,16 +50,12 @@ def test_bundles_are_written_for_both_levels(tmp_path: Path, capsys: pytest.Capt
     assert note in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "command", [["explore"], ["validate"], ["campaign", "--vary", "seed=1:2"], ["deploy"]],
-    ids=lambda command: command[0],
-)  # fmt: skip
+@pytest.mark.parametrize("command", ["explore", "deploy"])
 def test_other_commands_refuse_squads(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    name, *options = command
-    assert main([name, str(GEOFENCE), "--fleet", str(fleet_files(tmp_path)), *options]) == 1
+    assert main([command, str(GEOFENCE), "--fleet", str(fleet_files(tmp_path))]) == 1
     assert "outer.yaml:6:26: error[F005]: alpha is a fleet itself, which this" in capsys.readouterr().err
 
 
@@ -101,6 +99,37 @@ def test_inner_programs_with_other_params_are_proved_for_themselves(
     found = json.loads(capsys.readouterr().out)["levels"]
     verdicts = {name: each["assumptions"][0]["verdict"] for each in found for name in each["robots"]}
     assert verdicts == {"alpha": "PROVED", "beta": "UNPROVED"}, "a step of beta goes beyond its goal"
+
+
+def test_what_is_not_proved_may_be_validated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outer = columns(tmp_path)
+    inner = tmp_path / "triangle.koord"
+    inner.write_text(inner.read_text().replace("(centre + goal) / 2", "centre + (goal - centre) * 2"))
+    scenario = json.loads(plan_file(str(GEOFENCE), ["sim"], str(outer), {}, squads=True)[1]["sim"]["scenario.json"])
+    hashes = {each["name"]: each["program_hash"] for each in scenario["fleets"]}
+    robots = [{"name": name, "windows": 300} for name in ("alpha", "beta")]
+    kept = {"line": 11, "verdict": "VALIDATED", "runs": 60, "robots": robots}
+    report = {"format": "koord-validation/1", "hashes": hashes, "epsilon": 0.05, "gamma": 0.05, "seconds": 30.0}
+    file = tmp_path / "validation.json"
+    command = ["prove", str(GEOFENCE), "--fleet", str(outer), "--attack", "0", "--validation", str(file)]
+
+    def said(**changes: Any) -> tuple[int, str]:
+        file.write_text(json.dumps({**report, "assumptions": [kept], **changes}))
+        status, told = main(command), capsys.readouterr()
+        return status, " ".join((told.out + told.err).split())
+
+    status, text = said()
+    assert status == 4 and "VALIDATED assume Motion.position' in Rect(Motion.position, Motion.target)" in text
+    assert "not proved: it is not kept: the event" in text and "checked: VALIDATED of triangle.koord for alpha" in text
+    assert "60 simulated runs of 30 s kept it: a run violates it with a probability below 0.05" in text
+    for less in ({"verdict": "INCONCLUSIVE"}, {"robots": robots[:1]}, {"line": 12}):
+        assert "UNPROVED assume" in said(assumptions=[{**kept, **less}])[1], less
+    for name in hashes:
+        status, text = said(hashes={**hashes, name: "0" * 16})
+        assert status == 2 and "is about other programs, params or squads than these" in text
+    assert said(format="koord-trace/2")[0] == 2
+    file.unlink()
+    assert main(command) == 5 and "No such file" in capsys.readouterr().err
 
 
 def test_an_inner_program_that_shares_variables_with_others_is_not_proved(

@@ -76,6 +76,8 @@ def prove(command: Parser) -> None:
     question.add_argument("--param", metavar="NAME=VALUE", action="append", default=[], help=value)
     inner = "program of the fleets that are the robots of APP: prove that it keeps what APP assumes of its modules"
     question.add_argument("--inner", metavar="INNER.koord", help=inner)
+    validation = "report of `koordgen validate` (validation.json): assumptions that its runs kept are VALIDATED"
+    question.add_argument("--validation", metavar="FILE", help=validation)
     solving = command.add_argument_group("solver")
     solving.add_argument("--solver", choices=("z3", "cvc5", "both"), default="z3", help="SMT solver (default: z3)")
     timeout = "time limit of one query, in seconds (default: 10)"

@@ -69,7 +69,7 @@ def validate(options: Namespace) -> int:
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
     aside = Namespace(**{**vars(options), "format": "text"})  # only the report may be printed as JSON
-    bundles, app = building.planned(aside, [harness.name])
+    bundles, app = building.planned(aside, [harness.name], squads=True)
     building.require_packages()
     out = Path(options.out or "-".join(filter(None, ["validate", app, of.application])))
     line = ProgressLine(sys.stderr)
@@ -140,6 +140,7 @@ def _report(
         of.path, of.fleet, ProbabilityBound(options.epsilon, options.gamma), count, len(finished),
         options.seed, options.seconds, _start_noise(bundle), failed[0] if failed else "", _texts(of.checked), judged,
         finished[0].unchecked if finished else (), instead, str(drawn) if seen else "",
+        _hashes(bundle),
     )  # fmt: skip
 
 
@@ -184,7 +185,18 @@ def _command(options: Namespace, seed: int, out: Path) -> str:
 
 
 def _start_noise(bundle: Mapping[str, bytes]) -> float:
-    return float(json.loads(bundle["scenario.json"]).get("harness", {}).get("start_noise", 0.0))
+    return float(_scenario(bundle).get("harness", {}).get("start_noise", 0.0))
+
+
+def _hashes(bundle: Mapping[str, bytes]) -> dict[str, str]:
+    """Return the hash of the program under the name "", and that of each squad's programs under the squad's name."""
+    scenario = _scenario(bundle)
+    return {"": scenario["program_hash"]} | {each["name"]: each["program_hash"] for each in scenario.get("fleets", ())}
+
+
+def _scenario(bundle: Mapping[str, bytes]) -> dict[str, Any]:
+    scenario: dict[str, Any] = json.loads(bundle["scenario.json"])
+    return scenario
 
 
 def _texts(checked: Checked) -> dict[int, str]:
@@ -217,7 +229,7 @@ def _suggested(
         )
         return []
     given: dict[str, Value] = {
-        **(fleet_params(of.fleet, checked, of.path) if of.given is None else of.given),
+        **(fleet_params(of.fleet, checked, of.path, squads=True) if of.given is None else of.given),
         **building.params(options.param),
     }
     try:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from koordgen.cli.base.console import INCONCLUSIVE, USAGE, Failure, print_diagnostics
+from koordgen.cli.base.console import INCONCLUSIVE, SURROUNDINGS, USAGE, Failure, print_diagnostics
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -74,6 +74,69 @@ def prove_inner(
             message = f"the time limit of {seconds:g} s for the proof of {inner.program.path} is over"
             raise Failure(INCONCLUSIVE, message, "try a longer --timeout") from None
         found.append(verdicts._replace(robots=inner.robots))
+    return found
+
+
+def with_validation_of(
+    options: Namespace, fleet: OuterFleet, found: list[LevelVerdicts], program_hash: str
+) -> list[LevelVerdicts]:
+    """Return the verdicts about both levels, with what the report of the option --validation has measured.
+
+    `program_hash`: of the outer program. Raises Failure."""
+    if options.validation is None:
+        return found
+    from koordgen.verify.prove.report.levels import with_validation
+
+    report, hashes = _report(options.validation), {"": program_hash}
+    hashes |= {name: _system_hash(checked) for name, checked in fleet.inner.items()}
+    if report.get("hashes") != hashes:
+        message = f"{options.validation} is about other programs, params or squads than these"
+        raise Failure(USAGE, message, f"validate these: koordgen validate {options.program} --fleet FILE")
+    return [with_validation(each, _validated(report, each)) for each in found]
+
+
+def _system_hash(checked: CheckedSystem) -> str:
+    """Return the hash that bundles of a fleet with applications have."""
+    from pathlib import Path
+
+    from koordgen.build.bundle.functions import functions_file
+    from koordgen.build.emit.system import system_hash, with_sizes
+
+    system, functions = with_sizes(checked.system), list[bytes]()
+    for part, application in zip(checked.parts, system.applications, strict=True):
+        file = functions_file(application.program, Path(part.source.path).parent, None)
+        functions.append(file.read_bytes() if file and file.is_file() else b"")
+    return system_hash(system, functions)
+
+
+def _report(path: str) -> dict[str, Any]:
+    """Read the report of a validation. Raises Failure."""
+    import json
+
+    way = "give the file validation.json that `koordgen validate` has written"
+    try:
+        with open(path, encoding="utf-8") as file:
+            found = json.load(file)
+    except OSError as error:
+        raise Failure(SURROUNDINGS, f"{path}: {error.strerror or error}", way) from None
+    except ValueError as error:
+        raise Failure(USAGE, f"{path}: not JSON: {error}", way) from None
+    if not isinstance(found, dict) or found.get("format") != "koord-validation/1":
+        raise Failure(USAGE, f"{path}: not the report of a validation", way)
+    return found
+
+
+def _validated(report: dict[str, Any], levels: LevelVerdicts) -> dict[int, str]:
+    """Return line of an assumption -> the runs in which all squads of one inner program kept it."""
+    wanted = set() if levels.robots is None else set(levels.robots.names)
+    found = {}
+    for each in report["assumptions"]:
+        seen = {robot["name"] for robot in each["robots"] if robot["windows"]}
+        if each["verdict"] == "VALIDATED" and wanted and wanted <= seen:
+            found[each["line"]] = (
+                f"{each['runs']} simulated runs of {report['seconds']:g} s kept it: a run violates it with a "
+                f"probability below {report['epsilon']:g} (confidence {1 - report['gamma']:g})"
+            )
     return found
 
 

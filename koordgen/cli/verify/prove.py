@@ -73,7 +73,7 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
     """Check a program, prove its invariants, and print or write the results. Raises SolverMissing."""
     from koordgen.build.pipeline import check_file
     from koordgen.cli.verify.attack import attack_verdicts
-    from koordgen.cli.verify.levels import prove_inner, read_outer
+    from koordgen.cli.verify.levels import prove_inner, read_outer, with_validation_of
     from koordgen.verify.prove.report.levels import with_levels
 
     checked = check_file(options.program)
@@ -85,6 +85,7 @@ def prove_program(options: Namespace, solver: Solver | CrossCheck) -> int:
     found = verdicts_by_robots(checked.program, question, options.robots, solver, _total(options))
     attacks = attack_verdicts(checked.program, question, found, solver, options)
     levels = prove_inner(options, outer, checked.program, question, solver, _total(options))
+    levels = with_validation_of(options, outer, levels, _hash_with(checked.program, options.program, given))
     found = [with_levels(verdicts, levels) for verdicts in found]
     solver.stop()  # the operating system frees the solver's memory while this process prints
     print_verdicts(options, found, attacks, levels, outer.targeted)
@@ -229,6 +230,13 @@ def trace_of(program: Program, path: str, given: Mapping[str, Value], found: lis
     except (BadParam, BadValue):  # the counterexample contains numbers that no robot can represent
         hashed = ""
     return trace(program, first, RunOrigin(hashed, tuple(p.name for p in program.params)))
+
+
+def _hash_with(program: Program, path: str, given: Mapping[str, Value]) -> str:
+    """Return the hash that the bundles of a program with these params have."""
+    from koordgen.lang.analyze.params import with_params
+
+    return hash_of(with_params(program, given), path, None)[0]
 
 
 def hash_of(program: Program, path: str, functions: str | None) -> tuple[str, Path | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from koordgen.experiment.validate.breach import EXPLANATIONS
@@ -24,7 +24,8 @@ class ValidationReport:
     `start_noise`: half-width of the random starts around the fleet file's starts, in metres and radians.
     `failed`: reason for the first failure of a run; "" if all runs finished.
     `texts`: line of the program -> text of the assumption.
-    `unchecked`: (line, reason) of each assumption that cannot be evaluated."""
+    `unchecked`: (line, reason) of each assumption that cannot be evaluated.
+    `hashes`: of the program, under the name "", and of the programs of each squad."""
 
     program: str
     fleet: str
@@ -40,6 +41,7 @@ class ValidationReport:
     unchecked: Sequence[tuple[int, str]]
     suggestions: Sequence[Suggestion]
     picture: str = ""
+    hashes: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
@@ -206,6 +208,7 @@ def document(found: ValidationReport, commands: Commands) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "program": found.program,
+        "hashes": dict(found.hashes),
         "fleet": found.fleet,
         "verdict": found.verdict,
         "epsilon": found.bound.epsilon,

@@ -45,15 +45,17 @@ class ProvidedVerdict(NamedTuple):
     """Verdict about one assumption of the outer program.
 
     `reason`: why it is not PROVED.
+    `validated`: the runs that kept it, as text; "" if the verdict is not VALIDATED.
     `has_slack`: whether the time until a command is applied is not covered, because the assumption reads an actuator.
     `rests_on`: the invariants of the inner program that the proof uses."""
 
     assumption: decl.Assumption
     module: str
-    verdict: Literal["PROVED", "UNPROVED"]
+    verdict: Literal["PROVED", "VALIDATED", "UNPROVED"]
     reason: str
     has_slack: bool
     rests_on: tuple[str, ...] = ()
+    validated: str = ""
 
 
 class LevelVerdicts(NamedTuple):
@@ -202,17 +204,32 @@ def _reads_actuator(each: ProvidedAssumption, stated: ProvidedModules) -> bool:
     return any(isinstance(n, PortRead) and n.port in actuators for n in walk(each.assumption.formula))
 
 
+def with_validation(levels: LevelVerdicts, validated: Mapping[int, str]) -> LevelVerdicts:
+    """Return the verdicts, with VALIDATED for assumptions that are not proved but were kept in all runs.
+
+    `validated`: line of an assumption -> the runs as text."""
+
+    def noted(each: ProvidedVerdict) -> ProvidedVerdict:
+        runs = validated.get(each.assumption.span.line, "")
+        if each.verdict != "UNPROVED" or not runs:
+            return each
+        return each._replace(verdict="VALIDATED", validated=runs)
+
+    return levels._replace(provided=tuple(map(noted, levels.provided)))
+
+
 def with_levels(verdicts: Sequence[InvariantVerdict], levels: Sequence[LevelVerdicts]) -> list[InvariantVerdict]:
-    """Return the outer program's verdicts, with ledgers that name the inner programs proved to keep an assumption."""
-    proved: dict[int, list[str]] = {}
+    """Return the outer program's verdicts, with ledgers that say which inner programs keep an assumption, and why."""
+    kept: dict[int, list[str]] = {}
     for each in levels:
         whose = f" for {', '.join(each.robots.names)}" if each.robots else ""
         for one in each.provided:
-            if one.verdict == "PROVED":
-                proved.setdefault(one.assumption.span.line, []).append(f"PROVED of {each.inner}{whose}, see below")
+            if one.verdict != "UNPROVED":
+                note = f"{one.verdict} of {each.inner}{whose}, see below"
+                kept.setdefault(one.assumption.span.line, []).append(note)
 
     def noted(entry: LedgerEntry) -> LedgerEntry:
-        notes = proved.get(entry.line, []) if entry.kind == "port assumption" else []
+        notes = kept.get(entry.line, []) if entry.kind == "port assumption" else []
         return entry._replace(checked="; ".join([*notes, *filter(None, [entry.checked])]))
 
     return [verdict._replace(assumptions=tuple(map(noted, verdict.assumptions))) for verdict in verdicts]
@@ -228,7 +245,9 @@ def levels_text(found: LevelVerdicts) -> str:
         text = f"assume {to_koord(each.assumption.formula)}"
         lines.append(f"{each.verdict:<9} {text}  ({found.outer}:{each.assumption.span.line})")
         if each.reason:
-            lines += wrapped(each.reason)
+            lines += wrapped(f"not proved: {each.reason}" if each.validated else each.reason)
+        if each.validated:
+            lines += wrapped(each.validated)
         if each.rests_on:
             lines += wrapped(f"rests on {', '.join(each.rests_on)} of {found.inner}")
         if each.verdict == "PROVED" and each.has_slack:
@@ -254,6 +273,7 @@ def levels_document(found: LevelVerdicts) -> dict[str, Any]:
                 "line": each.assumption.span.line,
                 "verdict": each.verdict,
                 "reason": each.reason or None,
+                "validated": each.validated or None,
                 "slack": found.slack if each.has_slack else None,
                 "slack_seconds": found.slack_seconds if each.has_slack else None,
                 "rests_on": list(each.rests_on),
