@@ -278,7 +278,8 @@ def _run(
     else:
         run, watchers, windows = _made(root, scenario, folder, options, progress)
     given, paced = _steered(run, wrong, folder, options, view)
-    load = None if options.lockstep else HostLoad(scenario.delta, set().union(*[each.moving for each in watchers]))
+    shortest = min(fleet.scenario.delta for fleet in run.fleets)
+    load = None if options.lockstep else HostLoad(shortest, set().union(*[each.moving for each in watchers]))
     run.companions += [each for each in (*views, load) if each]
     began = time.perf_counter()
     try:
