@@ -1,4 +1,4 @@
-"""Fleet files with squads on the command line: check, build, prove and sim take them, other commands refuse them."""
+"""Fleet files with squads on the command line: most take them, and other commands refuse them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_bundles_are_written_for_both_levels(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    "command", [["explore"], ["validate"], ["campaign", "--vary", "seed=1:2"], ["deploy"]],
+    "command", [["explore"], ["validate"], ["deploy"]],
     ids=lambda command: command[0],
 )  # fmt: skip
 def test_other_commands_refuse_squads(
@@ -117,3 +117,17 @@ def test_a_fleet_file_names_the_inner_programs(tmp_path: Path, capsys: pytest.Ca
     outer = columns(tmp_path)
     assert main(["prove", str(GEOFENCE), "--fleet", str(outer), "--inner", str(tmp_path / "triangle.koord")]) == 2
     assert "names the fleets that are robots, but --inner is given as well" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_campaign_simulates_squads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    outer = fleet_files(tmp_path)
+    for file in tmp_path.glob("*.yaml"):
+        text = file.read_text().replace("target: quad,", "target: quad, sim: {fidelity: simple},")
+        file.write_text(text.replace("target: car,", "target: car, sim: {fidelity: simple},"))
+    command = ["campaign", str(LINEFORM), "--fleet", str(outer), "--vary", "seed=1:2", "--lockstep", "--duration", "1"]
+    assert main(command) in (0, 3)
+    assert "lineform: 2 runs" in capsys.readouterr().out

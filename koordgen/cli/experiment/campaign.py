@@ -53,7 +53,7 @@ def campaign(options: Namespace) -> int:
     if options.verdict and not Path(options.verdict).is_file():
         raise console.Failure(console.WRONG, f"--verdict {options.verdict}: no such file; give the path of a script")
     options.collected = []
-    bundles, app = building.planned(options, [harness.name])
+    bundles, app = building.planned(options, [harness.name], squads=True)
     building.require_packages()
     fixed = _fixed(options)
     scenarios = _scenarios(runs, bundles[harness.name])
@@ -142,7 +142,8 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
             return
         given = building.params([*options.param, *(f"{name}={value}" for name, value in params.items())])
         try:
-            _, bundles = plan_file(options.program, [harness.name], options.fleet, given, options.functions)
+            files = options.fleet, given, options.functions
+            _, bundles = plan_file(options.program, [harness.name], *files, squads=True)
         except BadParam as error:
             raise console.Failure(console.USAGE, str(error)) from None
         building.write({harness.name: bundles[harness.name]}, folder)
