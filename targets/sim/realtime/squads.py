@@ -79,5 +79,6 @@ class RealTimeSquad(SquadHandle):
             for trace in self._traces:
                 for part in [*[part for _, part in numbered(trace)], trace]:
                     if part.exists():
-                        whole.write(part.read_bytes() + b"\n")  # a trace that was cut off ends within a line
+                        written = part.read_bytes()
+                        whole.write(written if written.endswith(b"\n") else written + b"\n")  # it was cut off
                         part.unlink()
