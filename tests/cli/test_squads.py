@@ -49,7 +49,7 @@ def test_bundles_are_written_for_both_levels(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    "command", [["explore"], ["validate"], ["deploy"]],
+    "command", [["explore"], ["validate", "--reachsets"], ["deploy"]],
     ids=lambda command: command[0],
 )  # fmt: skip
 def test_other_commands_refuse_squads(
