@@ -75,7 +75,9 @@ def main(root: Path, argv: list[str] | None = None) -> int:
         from targets.sim.view.web import live
 
         # Start the views first: if one fails, the results of an earlier run must survive.
-        offer = {"lockstep": options.lockstep, "faults": plan is None}
+        offer: dict[str, Any] = {"lockstep": options.lockstep, "faults": plan is None}
+        if scenario.fleets:
+            offer["robots"] = [robot.name for robot in scenario.robots]
         header = _header(fleets_of(scenario)[0], plan, options)
         with (
             live.watched(header, options.live, offer) as view, stream.streamed(header, options.foxglove) as streamed,
@@ -278,7 +280,8 @@ def _run(
     else:
         run, watchers, windows = _made(root, scenario, folder, options, progress)
     given, paced = _steered(run, wrong, folder, options, view)
-    load = None if options.lockstep else HostLoad(scenario.delta, set().union(*[each.moving for each in watchers]))
+    shortest = min(fleet.scenario.delta for fleet in run.fleets)
+    load = None if options.lockstep else HostLoad(shortest, set().union(*[each.moving for each in watchers]))
     run.companions += [each for each in (*views, load) if each]
     began = time.perf_counter()
     try:

@@ -22,7 +22,7 @@ def write(bundles, folder):
     (folder / "sim").mkdir()
     (folder / "sim/__main__.py").write_text(sys.argv[1])
 
-building.planned = lambda *given: ({"sim": {}}, "app")
+building.planned = lambda *given, **more: ({"sim": {}}, "app")
 building.require_packages = lambda: None
 building.write = write
 sys.exit(cli.main(["sim", "app.koord", "--fleet", "fleet.yaml"]))

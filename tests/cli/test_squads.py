@@ -1,4 +1,4 @@
-"""Fleet files with squads on the command line: check, build, prove and sim take them, other commands refuse them."""
+"""Fleet files with squads on the command line: most take them, and other commands refuse them."""
 
 from __future__ import annotations
 
@@ -50,12 +50,16 @@ def test_bundles_are_written_for_both_levels(tmp_path: Path, capsys: pytest.Capt
     assert note in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["explore", "deploy"])
+@pytest.mark.parametrize(
+    "command", [["explore"], ["validate", "--reachsets"], ["deploy"]],
+    ids=lambda command: command[0],
+)  # fmt: skip
 def test_other_commands_refuse_squads(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main([command, str(GEOFENCE), "--fleet", str(fleet_files(tmp_path))]) == 1
+    name, *options = command
+    assert main([name, str(GEOFENCE), "--fleet", str(fleet_files(tmp_path)), *options]) == 1
     assert "outer.yaml:6:26: error[F005]: alpha is a fleet itself, which this" in capsys.readouterr().err
 
 
@@ -146,3 +150,17 @@ def test_a_fleet_file_names_the_inner_programs(tmp_path: Path, capsys: pytest.Ca
     outer = columns(tmp_path)
     assert main(["prove", str(GEOFENCE), "--fleet", str(outer), "--inner", str(tmp_path / "triangle.koord")]) == 2
     assert "names the fleets that are robots, but --inner is given as well" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_campaign_simulates_squads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    outer = fleet_files(tmp_path)
+    for file in tmp_path.glob("*.yaml"):
+        text = file.read_text().replace("target: quad,", "target: quad, sim: {fidelity: simple},")
+        file.write_text(text.replace("target: car,", "target: car, sim: {fidelity: simple},"))
+    command = ["campaign", str(LINEFORM), "--fleet", str(outer), "--vary", "seed=1:2", "--lockstep", "--duration", "1"]
+    assert main(command) in (0, 3)
+    assert "lineform: 2 runs" in capsys.readouterr().out

@@ -186,7 +186,7 @@ def _with_one_program(options: Namespace, trace: Path, program_hash: str, n_sys:
     place, beside = _place(options, trace)
     checked = check_file(str(place))
     try:
-        given = {**fleet_params(options.fleet, checked, str(place)), **beside, **params(options.param)}
+        given = {**fleet_params(options.fleet, checked, str(place), squads=True), **beside, **params(options.param)}
         program = with_params(checked.program, given)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None

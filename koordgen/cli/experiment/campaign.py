@@ -142,9 +142,8 @@ def _builder(options: Namespace, harness: Target) -> drive.Build:
             return
         given = building.params([*options.param, *(f"{name}={value}" for name, value in params.items())])
         try:
-            _, bundles = plan_file(
-                options.program, [harness.name], options.fleet, given, options.functions, squads=True
-            )
+            files = options.fleet, given, options.functions
+            _, bundles = plan_file(options.program, [harness.name], *files, squads=True)
         except BadParam as error:
             raise console.Failure(console.USAGE, str(error)) from None
         building.write({harness.name: bundles[harness.name]}, folder)

@@ -69,7 +69,7 @@ def validate(options: Namespace) -> int:
     harness = next(t for t in map(manifest.load, manifest.available()) if t.kind == "harness")
     options.harness, options.lockstep = harness.name, True
     aside = Namespace(**{**vars(options), "format": "text"})  # only the report may be printed as JSON
-    bundles, app = building.planned(aside, [harness.name], squads=True)
+    bundles, app = building.planned(aside, [harness.name], squads=not options.reachsets)
     building.require_packages()
     out = Path(options.out or "-".join(filter(None, ["validate", app, of.application])))
     line = ProgressLine(sys.stderr)

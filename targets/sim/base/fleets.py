@@ -26,6 +26,7 @@ class SimulatedFleet:
 
     name: "" for the only fleet and for the outer fleet; otherwise the squad that the fleet is.
     scenario: scenario of this fleet alone. Its robots have the pids of the fleet, and the names of the whole scenario.
+        The `body` of a squad is the program of its fleet.
     bodies: robot by pid -> places of its physical robots in the whole scenario; a squad has several.
     members: pid of a squad, name of one of its robots in its own fleet, and the robot's place; of all squads.
     """
@@ -98,7 +99,9 @@ def _fleet(scenario: Scenario, described: FleetDescription, squads: dict[str, tu
             bodies.append(squads[member])
             members += [(pid, scenario.robots[b].name.removeprefix(f"{member}."), b) for b in squads[member]]
             start = Start(_middle([scenario.robots[body].start.position for body in squads[member]]))
-            robots.append(Robot(member, pid, SQUAD, "", "", "", start))
+            robots.append(
+                Robot(member, pid, SQUAD, "", next(f.app for f in scenario.fleets if f.name == member), "", start)
+            )
         else:
             bodies.append((member,))
             robots.append(replace(scenario.robots[member], pid=pid))

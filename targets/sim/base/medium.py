@@ -27,6 +27,16 @@ class Medium(msgspec.Struct, frozen=True):
         """Return the conditions of `links` by sender and receiver."""
         return {(sender, receiver): conditions for sender, receiver, conditions in self.links}
 
+    def among(self, places: Sequence[int]) -> Medium:
+        """Return the medium of some of the robots only, which are numbered by their places in `places`."""
+        number = {place: k for k, place in enumerate(places)}
+        return Medium(
+            self.all,
+            tuple((number[a], number[b], c) for a, b, c in self.links if a in number and b in number),
+            tuple(self.groups[place] for place in places) if self.groups else (),
+            tuple((number[a], number[b]) for a, b in self.cuts if a in number and b in number),
+        )
+
     def cut(self, sender: int, receiver: int) -> bool:
         """Return whether no datagram passes from one pid to another."""
         apart = bool(self.groups) and self.groups[sender] != self.groups[receiver]

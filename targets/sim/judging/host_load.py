@@ -84,10 +84,11 @@ def _time(sample: tuple[float, float]) -> float:
 class HostLoad:
     """Companion of a real-time run that measures host load.
 
-    `moving`: lines ("app.koord:12") of the properties that read positions of bodies. Only those depend on the host."""
+    `delta`: seconds in the shortest round of the run's fleets. `moving`: lines ("app.koord:12") of the properties that
+    read positions of bodies. Only those depend on the host."""
 
     def __init__(self, delta: float, moving: Collection[str]) -> None:
-        self._delta, self._moving = delta, moving
+        self._moving = moving
         self._period = min(MOST_PERIOD, max(LEAST_PERIOD, delta / SAMPLES))
         self._next = 0.0
         self._found: dict[str, _Process] = {}
@@ -121,16 +122,16 @@ class HostLoad:
                 if name in self._late and name not in self._marked:  # the run itself reports only a robot's first fault
                     self._marked.add(name)
                     self._run.mark(Violation(record.time, "fault", (name,), str(record.fault)))
-            elif why := self._why_late(name, record):
+            elif why := self._why_late(agent, record):
                 self._late.setdefault(name, why)
             else:
                 self._slow.add(name)
 
-    def _why_late(self, name: str, record: Round) -> str:
+    def _why_late(self, agent: AgentHandle, record: Round) -> str:
         """Return why the host made an event late; "" if the agent had a core for most of the time."""
         self.sample(self._run.conduct.now())
-        found, tick = self._found.get(name), record.time - record.late
-        available = PUBLISH * self._delta
+        name, tick, available = agent.robot.name, record.time - record.late, PUBLISH * agent.delta
+        found = self._found.get(name)
         lost = 0.0 if found is None else found.between(tick, tick + available)
         if lost < SHARE * available:
             return ""

@@ -40,7 +40,7 @@ class Windows:
         self._head = {
             "format": FORMAT, "app": scenario.app, "program_hash": scenario.program_hash, "seed": seed,
             "delta": scenario.delta, "body": self.goal.rpartition(".")[0],
-            "robots": [{"name": r.name, "platform": f"{r.target} {r.sim.fidelity}".strip()} for r in robots],
+            "robots": [{"name": r.name, "platform": f"{r.target} {r.sim.fidelity or r.body}"} for r in robots],
             "assumptions": [{"module": a.module, "line": a.line} for a in found.assumptions],
             "unchecked": [{"module": u.name, "line": u.line, "why": u.why} for u in left],
         }  # fmt: skip

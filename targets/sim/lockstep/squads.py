@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,22 +9,17 @@ from koordgen.runtime.trace.writer import Trace
 from targets.sim.base.scenario import Robot
 from targets.sim.lockstep.time_shares import TimeShares
 from targets.sim.lockstep.traced import TracedAgent, TraceFile
-from targets.sim.run.run_interface import AgentHandle
+from targets.sim.run.squad_handle import SquadHandle
 
 
-class LockstepSquad(TracedAgent):
-    """Agent handle of a squad. It lives while one of its robots does: end or crash its robots to end it.
+class LockstepSquad(SquadHandle, TracedAgent):
+    """Agent handle of a squad in lockstep.
 
     All robots that host the squad's agent, one after another, write into the same trace and log."""
 
     def __init__(self, robot: Robot, folder: Path, delta: float, shares: TimeShares) -> None:
         super().__init__(robot, folder, delta)
-        self._members: Sequence[AgentHandle] = ()
         self._out = TraceFile(self.trace_file.open("ab"), shares)
-
-    def consist_of(self, members: Sequence[AgentHandle]) -> None:
-        """Set the robots of the squad."""
-        self._members = members
 
     def trace(self) -> Trace:
         """Return a new trace for a host."""
@@ -35,40 +29,6 @@ class LockstepSquad(TracedAgent):
     def emit(self, level: str, line: str) -> None:
         """Write a line of the squad's agent into its log."""
         self._emit(level, line)
-
-    @property
-    def alive(self) -> bool:
-        return any(member.alive for member in self._members)
-
-    @property
-    def status(self) -> int | None:
-        """0 once all robots of the squad have ended normally; otherwise None: failures are those of its robots."""
-        return 0 if all(member.status == 0 for member in self._members) else None
-
-    def request_end(self) -> None:
-        self.asked_to_end = True
-
-    def kill(self) -> None:
-        """Do nothing: the run kills each robot of the squad."""
-
-    def crash(self) -> None:
-        """Do nothing: no fault names a squad."""
-
-    def restart(self) -> None:
-        """Do nothing: no fault names a squad."""
-
-    def freeze(self, seconds: float) -> None:
-        """Do nothing: no fault names a squad."""
-
-    @property
-    def frozen(self) -> bool:
-        return False
-
-    def thaw(self) -> None:
-        """Do nothing: no fault names a squad."""
-
-    def _failed(self, status: int) -> str | None:
-        return None
 
     def close(self) -> None:
         """Close the files. Idempotent."""

@@ -8,14 +8,17 @@ import secrets
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from targets.sim.base.fleets import SimulatedFleet, fleets_of
 from targets.sim.base.medium import Medium
 from targets.sim.base.ports import NUMBERS
-from targets.sim.base.scenario import BadScenario, Robot, Scenario
+from targets.sim.base.scenario import Robot, Scenario
 from targets.sim.physics.world import STEP
-from targets.sim.realtime.relay import Relay
+from targets.sim.realtime.links import FleetLinks
+from targets.sim.realtime.squads import SETTINGS, TRACE, RealTimeSquad
 from targets.sim.realtime.supervise import AgentProcess, overrides
 from targets.sim.run.run_interface import AgentHandle, WorldStep
 from targets.sim.run.scene import Actor, SimulationScene
@@ -66,25 +69,36 @@ class RealTime:
     `root` is the sim bundle; `folder` receives the key and a folder for each robot."""
 
     def __init__(self, scenario: Scenario, root: Path, folder: Path, seed: int) -> None:
-        if scenario.fleets:
-            raise BadScenario("fleets with squads cannot run in real time", "add --lockstep")
         self._scenario, self._root, self._seed = scenario, root, seed
         self._key_file = folder / "fleet.key"
         self._key = secrets.token_bytes(32)
         with open(os.open(self._key_file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(self._key)
-        self._agents: list[AgentProcess] = []
-        for robot in scenario.robots:
-            own = folder / "robots" / robot.name
-            own.mkdir(parents=True)
-            self._agents.append(AgentProcess(robot, root / robot.bundle, own, scenario.delta))
+        self._fleets = fleets_of(scenario)
+        self._squads: dict[str, RealTimeSquad] = {}
+        self._homes: dict[int, tuple[SimulatedFleet, int]] = {}  # place of a physical robot -> its fleet and pid there
+        by_place: dict[int, AgentProcess] = {}
+        for fleet in self._fleets:
+            for robot, bodies in zip(fleet.scenario.robots, fleet.bodies, strict=True):
+                own = folder / "robots" / robot.name
+                own.mkdir(parents=True)
+                if fleet.is_squad(robot.pid):
+                    places = [folder / "robots" / scenario.robots[body].name for body in bodies]
+                    self._squads[robot.name] = RealTimeSquad(robot, own, fleet.scenario.delta, places)
+                else:
+                    by_place[bodies[0]] = AgentProcess(robot, root / robot.bundle, own, fleet.scenario.delta)
+                    self._homes[bodies[0]] = fleet, robot.pid
+        self._agents = [by_place[place] for place in range(len(scenario.robots))]
+        for squad, bodies in zip(self._fleets[0].names, self._fleets[0].bodies, strict=True):
+            if squad in self._squads:
+                self._squads[squad].consist_of([by_place[body] for body in bodies])
         # An external autopilot uses the world's clock. If that stopped, the autopilot would be late for good.
         external = any(robot.external for robot in scenario.robots)
         self._most_behind = math.inf if external else MOST_BEHIND
         self._pace = self._started()
         self._medium: Medium | None = None
-        self._relay: Relay | None = None
-        self._numbers: list[int] = []
+        self._links: list[FleetLinks] = []
+        self._numbers: list[int] = []  # ports of the control channels
 
     @property
     def agents(self) -> list[AgentProcess]:
@@ -92,43 +106,54 @@ class RealTime:
 
     @property
     def squads(self) -> Mapping[str, AgentHandle]:
-        return {}
+        return self._squads
 
     def scene(self) -> SimulationScene:
         return SimulationScene(self._scenario, self._seed, self._key)
 
     def launch(self, scene: SimulationScene) -> None:
-        count = len(self._agents)
-        taken = self._numbers = [NUMBERS.allocate() for _ in range(2 * count)]
-        ports, controls = taken[:count], taken[count:]
-        if self._medium is not None:
-            self._relay = Relay(ports, self._seed, self._medium)
-        others = self._relay.ports if self._relay else ports
-        for pid, (agent, actor) in enumerate(zip(self._agents, scene.actors, strict=True)):
-            seen = [*others[:pid], ports[pid], *others[pid + 1 :]]  # a robot listens on its own port
-            laid_over = overrides(self._scenario.robots, seen, controls[pid], actor.overrides, self._key_file, agent)
-            agent.launch(laid_over, *self._simple(agent.robot, actor))
+        self._links = [FleetLinks(fleet, self._seed, self._medium) for fleet in self._fleets]
+        links = {fleet.name: own for fleet, own in zip(self._fleets, self._links, strict=True)}
+        for place, (agent, actor) in enumerate(zip(self._agents, scene.actors, strict=True)):
+            fleet, pid = self._homes[place]
+            self._numbers.append(NUMBERS.allocate())
+            identity = fleet.own_name(agent.robot.name), pid, agent.application()
+            own = overrides(identity, links[fleet.name].peers(place), self._key_file, agent.trace_file)
+            if fleet.name in self._squads:
+                self._host(place, links[""].peers(place))
+            state = str(agent.state_folder.resolve())
+            settings = {**own, "control": self._numbers[-1], "state": state, "body": actor.overrides}
+            agent.launch(settings, *self._simple(agent.robot, actor, fleet))
         self._pace = self._started()
+
+    def _host(self, place: int, peers: list[dict[str, Any]]) -> None:
+        """Write the settings with which a robot of a squad hosts the agent of the squad."""
+        agent = self._agents[place]
+        squad = self._squads[self._homes[place][0].name].robot
+        identity = squad.name, squad.pid, agent.application(SETTINGS)
+        folder = agent.trace_file.parent
+        settings = overrides(identity, peers, self._key_file, folder / TRACE)
+        (folder / SETTINGS).write_bytes(msgspec.json.format(msgspec.json.encode(settings), indent=2) + b"\n")
 
     def _started(self) -> Pace:
         return Pace(time.monotonic(), STEP, self._most_behind)
 
-    def _simple(self, robot: Robot, actor: Actor) -> tuple[list[str] | None, str]:
+    def _simple(self, robot: Robot, actor: Actor, fleet: SimulatedFleet) -> tuple[list[str] | None, str]:
         """Return the command and PYTHONPATH that replace a bundle for a robot of fidelity `simple`.
 
         None for others."""
         found = getattr(actor.device, "agent", None)
         if found is None:
             return None, ""
-        bundle, drivers = str((self._root / robot.bundle).resolve()), msgspec.json.encode(self._scenario.drivers)
+        bundle, drivers = str((self._root / robot.bundle).resolve()), msgspec.json.encode(fleet.scenario.drivers)
         command = ["-m", "targets.sim.realtime.simple_agent", *found, bundle, drivers.decode()]
         return command, os.pathsep.join((str(self._root.resolve()), bundle))
 
     def disturb(self, medium: Medium) -> None:
         """Change the medium. A relay exists only if this was called before the launch. See AgentsAndClock."""
         self._medium = medium
-        if self._relay is not None:
-            self._relay.change(medium)
+        for links in self._links:
+            links.change(medium)
 
     def now(self) -> float:
         return time.monotonic()
@@ -163,8 +188,10 @@ class RealTime:
     def close(self) -> None:
         for agent in self._agents:
             agent.close()
-        if self._relay is not None:
-            self._relay.close()
+        for squad in self._squads.values():
+            squad.close()
+        for links in self._links:
+            links.close()
         while self._numbers:
             NUMBERS.give_back(self._numbers.pop())
         self._key_file.unlink(missing_ok=True)

@@ -76,7 +76,10 @@ def run(argv: list[str]) -> int:
         for served, name, cls in msgspec.json.decode(drivers, type=list[tuple[str, str, str]])
     }
     body = RemoteBody(int(port))
-    return main(program, lambda settings, key: make(settings, key, body), Path(bundle), options, found, properties)
+    squad = importlib.import_module("squad").SQUAD if (Path(bundle) / "squad.py").is_file() else None
+    return main(
+        program, lambda settings, key: make(settings, key, body), Path(bundle), options, found, properties, squad
+    )
 
 
 if __name__ == "__main__":

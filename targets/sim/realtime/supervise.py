@@ -27,24 +27,24 @@ GOOD_ENDS = (0, 130, 128 + signal.SIGTERM)
 
 
 def overrides(
-    robots: tuple[Robot, ...], ports: list[int], control: int, body: dict[str, Any], key_file: Path, agent: AgentProcess
+    identity: tuple[str, int, int], peers: list[dict[str, Any]], key_file: Path, trace: Path
 ) -> dict[str, Any]:
-    """Return the settings that override a robot's settings.json: devices and addresses of this run."""
-    peers = [{"name": r.name, "host": "127.0.0.1", "port": p} for r, p in zip(robots, ports, strict=True)]
+    """Return the settings that override those of an agent: addresses and files of this run.
+
+    `identity`: name, pid and application id of the robot. With these three, the commands for real robots work on the
+    robots of the run."""
+    name, pid, application = identity
     return {
-        "robot": agent.robot.name,
-        "pid": agent.robot.pid,
-        "application_id": agent.application,  # with these three, the commands for real robots work on the run's robots
+        "robot": name,
+        "pid": pid,
+        "application_id": application,
         "peers": peers,
         "bind": "",
         "network": {"transport": "unicast"},  # the bundle's groups and endpoints are those of the real network
-        "control": control,
-        "state": str(agent.state_folder.resolve()),
         "key_file": str(key_file.resolve()),
         "insecure": False,
-        "trace": str(agent.trace_file.resolve()),
+        "trace": str(trace.resolve()),
         "trace_limit": None,  # the run reads the file as it grows, and merges all of it at the end
-        "body": body,
     }
 
 
@@ -67,11 +67,10 @@ class AgentProcess(AgentHandle):
         self._thaw: threading.Timer | None = None
         self._stopped: subprocess.Popen[bytes] | None = None  # the frozen process
 
-    @property
-    def application(self) -> int:
-        """The fleet's application_id, from the bundle's settings; 0 if the bundle has none."""
+    def application(self, file: str = "settings.json") -> int:
+        """Return the application_id in a settings file of the bundle; 0 if the bundle has none."""
         try:
-            settings = msgspec.json.decode((self._bundle / "settings.json").read_bytes())
+            settings = msgspec.json.decode((self._bundle / file).read_bytes())
         except FileNotFoundError:
             return 0
         return int(settings["application_id"])

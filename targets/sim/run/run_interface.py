@@ -29,7 +29,7 @@ class AgentHandle(ABC):
         self.robot = robot
         self.trace_file = folder / "trace.jsonl"
         self.log_file = folder / "log.txt"
-        self._delta = delta
+        self.delta = delta  # seconds in a round of the robot's fleet
         self.asked_to_end = False  # told to stop safely and end
         self.killed = False  # killed by the run, because it did not stop in time
         self.crashed = False  # crashed by `crash` and not restarted yet
@@ -128,7 +128,7 @@ class AgentHandle(ABC):
                     self.stopping = record
             case Round():
                 if self.first_round_start is None:
-                    self.first_round_start = record.time - record.late - (record.round - 1) * self._delta
+                    self.first_round_start = record.time - record.late - (record.round - 1) * self.delta
                 self.round = record.round
                 if record.fault is not None:
                     self.first_faults.setdefault(record.application, record)

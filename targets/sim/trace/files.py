@@ -78,15 +78,23 @@ class Tail:
             return []
         self._offset += len(data)
         *lines, self._incomplete = (self._incomplete + data).split(b"\n")
-        found: list[TraceRecord] = []
-        for line in lines:
-            try:
-                # An agent's own header differs from that of the merged trace.
-                if not line.startswith(HEADER) and (record := decoded(line)) is not None:
-                    found.append(record)
-            except msgspec.DecodeError:
-                self.malformed += 1
+        found, malformed = records_in(lines)
+        self.malformed += malformed
         return found
+
+
+def records_in(lines: Sequence[bytes]) -> tuple[list[TraceRecord], int]:
+    """Return the records in complete lines of a robot's own trace, and the number of malformed lines."""
+    found: list[TraceRecord] = []
+    malformed = 0
+    for line in lines:
+        try:
+            # An agent's own header differs from that of the merged trace.
+            if not line.startswith(HEADER) and (record := decoded(line)) is not None:
+                found.append(record)
+        except msgspec.DecodeError:
+            malformed += 1
+    return found, malformed
 
 
 class Poses:

@@ -28,7 +28,7 @@ PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"robots": [{"name": "bert"
 @pytest.fixture(autouse=True)
 def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Pictures, which take longer than all else, are drawn where `drawn` is asked for."""
-    monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
+    monkeypatch.setattr(building, "planned", lambda options, targets, **_: ({fake.NAME: PLANNED}, "app"))
     monkeypatch.setattr(building, "require_packages", lambda: None)
     monkeypatch.setattr(command, "_builder", lambda options, harness: fake.build)
     monkeypatch.setattr(plots, "draw", lambda results, folder: [])
@@ -184,7 +184,9 @@ def test_another_plan_is_refused(words: list[str], said: str, capsys: pytest.Cap
 
 def test_another_bundle_is_refused(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert campaign("--vary", "seed=1:2") == 0
-    monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: {"SHA256SUMS": b"others"}}, "app"))
+    monkeypatch.setattr(
+        building, "planned", lambda options, targets, **_: ({fake.NAME: {"SHA256SUMS": b"others"}}, "app")
+    )
     assert campaign("--vary", "seed=1:2", "--resume") == 5
     assert "the program, the fleet file or koordgen has changed since" in capsys.readouterr().err
 
@@ -295,7 +297,7 @@ def test_killed_it_can_be_resumed(tmp_path: Path) -> None:
         "import sys\nfrom koordgen import cli\nfrom koordgen.cli.base import building\n"
         "from koordgen.cli.experiment import campaign\n"
         "from tests.experiment.campaign import fake\n"
-        "building.planned = lambda options, targets: ({'sim': {'SHA256SUMS': b'sums'}}, 'app')\n"
+        "building.planned = lambda options, targets, **_: ({'sim': {'SHA256SUMS': b'sums'}}, 'app')\n"
         "building.require_packages = lambda: None\ncampaign._builder = lambda options, harness: fake.build\n"
         "cli.main(['campaign', 'app.koord', '--fleet', 'fleet.yaml', '--out', 'out', '--jobs', '2', *sys.argv[1:]])\n"
     )

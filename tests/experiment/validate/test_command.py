@@ -40,10 +40,10 @@ invariant Somewhere: forall i in ID: Motion.position[i] == Motion.position[i]
 
 @pytest.fixture(autouse=True)
 def faked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(building, "planned", lambda options, targets: ({fake.NAME: PLANNED}, "app"))
+    monkeypatch.setattr(building, "planned", lambda options, targets, **_: ({fake.NAME: PLANNED}, "app"))
     monkeypatch.setattr(building, "require_packages", lambda: None)
     monkeypatch.setattr(campaigns, "_builder", lambda options, harness: fake.build)
-    monkeypatch.setattr("koordgen.cli.experiment.validate.fleet_params", lambda *_: {})
+    monkeypatch.setattr("koordgen.cli.experiment.validate.fleet_params", lambda *_, **more: {})
     monkeypatch.setattr(
         picture, "draw", lambda found, title, path: bool(path.write_bytes(b"")) or True
     )  # it takes long

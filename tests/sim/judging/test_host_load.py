@@ -31,7 +31,7 @@ class Host:
         self.counters: dict[int, float | None] = {1: 0.0, 2: 0.0, os.getpid(): 0.0}
         self.time = ZERO
         self.marked: list[Violation] = []
-        self.agents = [SimpleNamespace(robot=SimpleNamespace(name=name), process_id=k) for k, name in
+        self.agents = [SimpleNamespace(robot=SimpleNamespace(name=name), process_id=k, delta=DELTA) for k, name in
                        enumerate(("ann", "bob"), 1)]  # fmt: skip
         monkeypatch.setattr(host_load, "waited", self.counters.get)
         self.load = HostLoad(DELTA, {MOVING})

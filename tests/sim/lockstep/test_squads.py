@@ -5,15 +5,21 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from koordgen.cli import main
-from koordgen.runtime.trace.schema import MemberPose, PoseRecord, Round
+from koordgen.runtime.trace.schema import Header, MemberPose, PoseRecord, Round, TraceRecord
+from targets.sim.base.scenario import load
 from targets.sim.harness import main as simulate
+from targets.sim.lockstep.run import Lockstep
+from targets.sim.run.progress import Progress
+from targets.sim.run.run import Run
 from targets.sim.trace.files import read
+from targets.sim.view.data.feed import Feed
 from tests.build.squad_files import LINEFORM, OUTER, fleet_files
 from tests.sim.lockstep.lockstep import ran
 
@@ -98,6 +104,43 @@ def test_a_replay_finds_a_command_that_no_host_wrote(
     (tmp_path / "trace.jsonl").write_text("".join(f"{line}\n" for line in lines))
     assert main(["replay", str(tmp_path)]) == 3
     assert "application triangle: copy of goal is" in capsys.readouterr().err
+
+
+class Fed(Feed):
+    """Live view that keeps what it would show."""
+
+    def __init__(self, header: Header) -> None:
+        super().__init__(header)
+        self.shown: list[tuple[float, TraceRecord]] = []
+
+    def _add(self, record: TraceRecord, t: float) -> None:
+        self.shown.append((t, record))
+
+    def _reset(self) -> None:
+        self.shown.clear()
+
+    def _send(self) -> None: ...
+
+    def flush(self) -> None: ...
+
+
+@pytest.mark.slow
+def test_a_live_view_shows_the_outer_fleet_with_the_robots_of_squads(bundle: Path, run: Path, tmp_path: Path) -> None:
+    scenario, folder = load(bundle), tmp_path / "run"
+    for fleet in ("alpha", "beta"):
+        (folder / fleet).mkdir(parents=True)
+    live = Fed(read(run / "trace.jsonl")[0])
+    whole = Run(scenario, Lockstep(scenario, bundle, folder, 0), folder, 1.0, Progress(sys.stderr, quiet=True))
+    whole.companions.append(live)
+    whole.execute()
+    rounds = [r for _, r in live.shown if isinstance(r, Round)]
+    assert {r.pid for r in rounds} == {0, 1, 2} and {r.application for r in rounds} == {"lineform"}
+    last = {
+        (r.pid, getattr(r, "member", "")): r.position for _, r in live.shown if isinstance(r, PoseRecord | MemberPose)
+    }
+    assert len(last) == 9
+    middle = [sum(axis) / 3 for axis in zip(*[last[1, name] for name in ("eve", "fay", "gus")], strict=True)]
+    assert list(last[1, ""]) == pytest.approx(middle)
 
 
 @pytest.mark.slow

@@ -97,6 +97,8 @@ def running(zero: float | None = None) -> Any:
     run = SimpleNamespace(
         conduct=SimpleNamespace(now=lambda: 100.0, agents=agents), zero=zero, marks=[],
         scene=SimpleNamespace(watch=SimpleNamespace(too_close={}, collisions={}, bumps={}, min_separation=0.3)),
+        fleets=[SimpleNamespace(states=lambda states: states, members=())], agents_of=lambda fleet: agents,
+        scenario=SimpleNamespace(robots=HEAD.robots),
     )  # fmt: skip
     run.t = lambda at: None if run.zero is None else at - run.zero
     return run

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from koordgen.runtime.trace.schema import Header, InitRecord, Phase, PoseRecord, Round, TraceRecord, Violation
+from koordgen.runtime.trace.schema import (
+    Header,
+    InitRecord,
+    MemberPose,
+    Phase,
+    PoseRecord,
+    Round,
+    TraceRecord,
+    Violation,
+)
 from targets.sim.base.bodies import BodyState
 from targets.sim.run.run_interface import AgentHandle
 from targets.sim.trace.store_names import StoreNames
@@ -27,7 +36,6 @@ class Feed(ABC):
     def __init__(self, header: Header) -> None:
         self._header = header
         self._stored = StoreNames(header)
-        self._names = [robot.name for robot in header.robots]
         self._steps = 0
         self._marks_sent = 0  # number of the run's marks passed on
         self._seen: set[tuple[str, tuple[int, int]]] = set()  # findings of the separation monitor passed on
@@ -51,6 +59,8 @@ class Feed(ABC):
         """See Companion."""
         self._run = run
         self._launched = run.conduct.now()
+        self._fleet = run.fleets[0]
+        self._agents = run.agents_of(self._fleet)
 
     def step(self, at: float, states: list[BodyState]) -> None:
         """Pass on poses at the rate of the trace."""
@@ -59,25 +69,33 @@ class Feed(ABC):
             return
         if not self._begun and self._run.zero is not None:
             self._begin()
-        t = self._t(at)
-        for pid, state in enumerate(states):
-            self._add(PoseRecord(pid, state.position, state.yaw), t)
+        self._poses(at, states)
         self._marks()
         self._send()
 
     def show(self, at: float, states: list[BodyState]) -> None:
         """Pass on the present poses and all collected records at once."""
-        for pid, state in enumerate(states):
-            self._add(PoseRecord(pid, state.position, state.yaw), self._t(at))
+        if states:
+            self._poses(at, states)
         self._marks()
         self.flush()
+
+    def _poses(self, at: float, states: list[BodyState]) -> None:
+        """Pass on the poses of the outer fleet's robots and of the members of squads."""
+        t = self._t(at)
+        for pid, state in enumerate(self._fleet.states(states)):
+            self._add(PoseRecord(pid, state.position, state.yaw), t)
+        for pid, name, place in self._fleet.members:
+            self._add(MemberPose(pid, name, states[place].position, states[place].yaw), t)
 
     @abstractmethod
     def flush(self) -> None:
         """Send the collected records, as far as possible without waiting."""
 
     def heard(self, agent: AgentHandle, records: list[TraceRecord]) -> None:
-        """See Companion."""
+        """Pass on the records of the outer fleet. See Companion."""
+        if agent not in self._agents:
+            return
         if not self._begun:
             self._early.append((agent, [r for r in records if isinstance(r, (InitRecord, Round))]))
         for record in records:
@@ -99,7 +117,7 @@ class Feed(ABC):
         """Switch to times since round 1, and pass on the early records again."""
         self._begun = True
         self._reset()
-        for agent in self._run.conduct.agents:
+        for agent in self._agents:
             self._add(Phase(agent.phase.phase, agent.phase.detail, pid=agent.robot.pid), 0.0)
         for agent, records in self._early:
             self.heard(agent, records)
@@ -129,5 +147,5 @@ class Feed(ABC):
         return not known
 
     def _violation(self, at: float, what: str, pids: tuple[int, ...], detail: str) -> None:
-        t = self._t(at)
-        self._add(Violation(t, what, tuple(self._names[pid] for pid in pids), detail), t)
+        t, robots = self._t(at), self._run.scenario.robots
+        self._add(Violation(t, what, tuple(robots[place].name for place in pids), detail), t)

@@ -82,9 +82,9 @@ function ended() {
 }
 
 function offer() {
-  for (const name of ["robot", "one", "other", "lost", "slow", "empty"])
-    field(name).replaceChildren(...model.robots.map((robot) => make("option", robot.name)));
-  if (model.robots.length > 1) field("other").selectedIndex = 1;
+  const robots = given.control.robots || model.robots.map((robot) => robot.name); // in a run with squads, all physical robots
+  for (const name of ["robot", "one", "other", "lost", "slow", "empty"]) field(name).replaceChildren(...robots.map((robot) => make("option", robot)));
+  if (robots.length > 1) field("other").selectedIndex = 1;
   field("number").replaceChildren(...(model.header.obstacles || []).map((obstacle, k) => make("option", String(k), { value: k })));
   $("run-pause").onclick = () => command({ do: run.paused ? "go" : "pause" });
   $("run-step").onclick = () => command({ do: "step" });
@@ -93,7 +93,7 @@ function offer() {
   if (!given.control.lockstep) $("run-speed").options[0].textContent = "1 × real time";
   if (!given.control.lockstep) for (const id of ["run-pause", "run-step", "run-speed"]) disable($(id), RUN_CLOCK);
   if (!given.control.faults) for (const kind of Object.keys(FAULTS)) disable(field(kind), FOLLOWS);
-  if (model.robots.length < 2) for (const kind of ["cut", "restore"]) disable(field(kind), "there is one robot, and no link");
+  if (robots.length < 2) for (const kind of ["cut", "restore"]) disable(field(kind), "there is one robot, and no link");
   if (!field("number").options.length) disable(field("obstacle"), "this world has no obstacles");
 }
 
