@@ -30,7 +30,7 @@ from koordgen.runtime.replication.log import Logged
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import RoundRecord, Trace
 from koordgen.runtime.values.clock import SimulatedClock
-from koordgen.runtime.values.points import Point, distance
+from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.drivers import with_drivers
 from tests.composed.agents import Applied, CountedEvents
 from tests.lang.semantics.compositions import compiled
@@ -38,12 +38,13 @@ from tests.lang.semantics.compositions import compiled
 INNER = 0.1  # seconds in a round of the inner fleets
 OUTER = 0.5  # seconds in a round of the outer fleet
 QUIET = Conditions(delay=0.001, jitter=0.004)
+LOSSY = Conditions(loss=0.2, delay=0.001, jitter=0.01, duplication=0.05)
 
 TRIANGLE = """
 provides Motion:
   sensors:
     Point position = middle(corner)
-    bool reached = distance(middle(corner), goal) <= 0.2
+    bool reached = distance(middle(corner), goal + Point(1, 0, 0)) <= 0.2
   actuators: Point target = goal
 using Motion:
   sensors: Point position
@@ -67,6 +68,28 @@ Go:
     corner[pid] = Motion.position
 """
 
+WAVE = """
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target at position clears reached
+allread: Point x[N_SYS]
+local: int k
+init:
+  x[pid] = Motion.position
+Go:
+  pre: Motion.reached or k % 5 < 3
+  eff:
+    k += 1
+    if k % 2 == 0:
+      Motion.target = Point(k % 5, 2 * pid, 9)  # above the geofence
+    x[pid] = Motion.position
+Wait:
+  pre: True
+  eff: k += 1
+"""
+
 
 def loaded(name: str, text: str) -> Any:
     """Return the generated module of a program."""
@@ -83,10 +106,8 @@ _triangle = loaded("program_triangle", TRIANGLE)
 def squad_of(outer: Program) -> Squad:
     """Return the squad of triangles that an outer program sees."""
     sensors = {
-        "Motion.position": lambda s: _triangle.fun_middle(s.shared_corner.all),
-        "Motion.reached": lambda s: (
-            distance(_triangle.fun_middle(s.shared_corner.all), s.shared_goal.value + Point(1, 0, 0)) <= 0.2
-        ),
+        "Motion.position": _triangle.provided_motion_position,
+        "Motion.reached": _triangle.provided_motion_reached,
     }
     used = {port.name for port in outer.ports}
     return Squad(0, {n: f for n, f in sensors.items() if n in used}, {"Motion.target": "goal"}, outer)

@@ -12,27 +12,6 @@ from koordgen.runtime.trace.schema import FORMAT, ApplicationRecord, End, Header
 from targets.sim.trace import files
 from tests.squads.levels import INNER, OUTER, TRIANGLE, Levels
 
-WAVE = """
-using Motion:
-  sensors:
-    Point position
-    bool reached
-  actuators: Point target at position clears reached
-allread: Point x[N_SYS]
-local: int k
-init:
-  x[pid] = Motion.position
-Go:
-  pre: Motion.reached or k % 5 < 3
-  eff:
-    k += 1
-    if k % 2 == 0:
-      Motion.target = Point(k % 5, 2 * pid, 9)  # above the geofence
-    x[pid] = Motion.position
-Wait:
-  pre: True
-  eff: k += 1
-"""
 FENCE = ((-6.0, -5.0, -0.5), (6.0, 5.0, 4.0))
 
 

@@ -13,8 +13,8 @@ import pytest
 from koordgen.cli import main
 from koordgen.cli.base import traced
 from koordgen.runtime.agent import squad
-from tests.squads.levels import Levels
-from tests.squads.saved import WAVE, save
+from tests.squads.levels import WAVE, Levels
+from tests.squads.saved import save
 
 Record = dict[str, Any]
 
