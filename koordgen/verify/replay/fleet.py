@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from koordgen.lang.semantics.composition import System
+from koordgen.verify.replay.hosted import HostReplay
 from koordgen.verify.replay.robot import Counts, Difference, Replay, Unreplayable
 from koordgen.verify.replay.store import RecordedWrites, Shown
 from koordgen.verify.replay.trace import TraceLine, TraceParts
@@ -22,14 +23,15 @@ def replay_trace(
 ) -> Iterator[Difference]:
     """Yield every difference between trace and programs, in the trace's order.
 
-    `externs`: the extern functions of each application; None for an application whose events are not run again. Raises
-    BadTrace or Unreplayable."""
+    `externs`: the extern functions of each application; None for the application that hosts an outer robot, whose
+    events are not run again. Raises BadTrace or Unreplayable."""
     instances = Instances(system, trace)
-    again = [externs[i.application] for i in system.instances()]
-    replays = [
-        None if own is None else Replay(system, i, own, counts, trace.followed)
-        for i, own in zip(system.instances(), again, strict=True)
-    ]
+    replays: list[Replay | HostReplay] = []
+    for instance in system.instances():
+        own = externs[instance.application]
+        replays.append(
+            HostReplay(system, instance) if own is None else Replay(system, instance, own, counts, trace.followed)
+        )
     stores = None if trace.own else Stores(system, instances, trace)
     views: dict[int, tuple[int, Any]] = {}
     last = 0
@@ -41,8 +43,6 @@ def replay_trace(
             views.clear()  # the views known so far belong to an earlier mission
         number = instances.of(line)
         replay = replays[number]
-        if replay is None:
-            continue
         # The previous part of the trace ends in the middle of a record, so records are missing between the parts.
         if trace.cut and line.record["kind"] == "checkpoint":
             replay.skip()
@@ -52,8 +52,7 @@ def replay_trace(
         last = line.number
     if not trace.cut:
         for number, replay in enumerate(replays):
-            if replay is not None:
-                yield from instances.named(number, replay.end(last))
+            yield from instances.named(number, replay.end(last))
 
 
 def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
@@ -109,15 +108,20 @@ class Stores:
         self._writes = RecordedWrites(system)
         ends = dict.fromkeys(range(len(self._instances)), 0)
         acted = dict(ends)  # instance -> last round in which the robot recorded an event of it
+        missing: dict[int, int] = {}  # instance -> first round without a record since it last rejoined
         until = float("inf")
         for line in trace.lines():
             record = line.record
             if record["kind"] in ("stream", "view"):
                 continue
             number, round_ = instances.of(line), int(record.get("round", 0))
+            if round_ > ends[number] + 1:
+                missing.setdefault(number, ends[number] + 1)
             restored = record.get("restored")
             if restored and restored["round"] != acted[number]:
-                until = min(until, restored["round"] - 1)
+                until = min(until, restored["round"] - 1, missing.get(number, round_) - 1)
+            if restored:
+                missing.pop(number, None)
             if record.get("event") is not None and not record.get("fault"):
                 acted[number] = round_
             ends[number] = max(ends[number], round_)
