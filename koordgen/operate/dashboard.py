@@ -10,13 +10,13 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.estop import Place, StoppableFleet
+from koordgen.operate.estop import Contact, Place, StoppableFleet
 from koordgen.operate.status import StatusAnswer, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one status request to a robot to the next
@@ -28,17 +28,15 @@ OnAnswer = Callable[[int, StatusAnswer], None]
 class Poller:
     """Poller: requests the status of all robots periodically until it is closed.
 
-    `on_answer` is called with a robot's index in `fleet.places` and the robot's answer, with or without a report.
+    `on_answer` is called with a robot's index in `fleet` and the robot's answer, with or without a report.
     Several threads call `on_answer`.
     """
 
-    def __init__(self, fleet: StoppableFleet, key: bytes | None, on_answer: OnAnswer) -> None:
-        self._fleet, self._key, self._on_answer = fleet, key, on_answer
+    def __init__(self, fleet: Sequence[Contact], on_answer: OnAnswer) -> None:
+        self._fleet, self._on_answer = fleet, on_answer
         self._over = threading.Event()
         self._last: dict[int, StatusAnswer] = {}  # last answer of each robot that has answered
-        self._threads = [
-            threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet.places))
-        ]
+        self._threads = [threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet))]
 
     def start(self) -> None:
         """Start to poll all robots."""
@@ -57,10 +55,9 @@ class Poller:
         return frozenset(odd_releases(list(self._last.values())))
 
     def _ask(self, index: int) -> None:
-        place, application = self._fleet.places[index], self._fleet.application
         while not self._over.is_set():
             began = time.monotonic()
-            asked = ask_one(place, application, self._key, began, WITHIN)
+            asked = ask_one(self._fleet[index], began, WITHIN)
             if asked.report is not None:
                 self._last[index] = asked
             self._on_answer(index, asked)

@@ -14,6 +14,7 @@ from koordgen.fleet.file import Fleet
 from koordgen.lang import resources
 from koordgen.operate.collect import CannotCollect, Collection, CollectionFolder, collect_all
 from koordgen.operate.hosts import HostError
+from koordgen.operate.physical import physical_robots
 from koordgen.operate.run_folder import ROBOTS, flown, write_source, write_trace
 from koordgen.runtime.trace.schema import BadTrace
 
@@ -57,7 +58,7 @@ def _collected(options: Namespace, fleet: Fleet, into: CollectionFolder) -> Coll
             line.show(f"{total / 1e6:.1f} MB")
 
     try:
-        return on_hosts(options, fleet, None, lambda opened: collect_all(opened, into, progress))
+        return on_hosts(options, fleet, physical_robots(fleet, options.fleet), lambda opened: collect_all(opened, into, progress))
     finally:
         line.end()
 

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,16 @@ from koordgen.cli.base import console
 from koordgen.lang import resources
 from koordgen.operate.dashboard import Facts, Poller, built_facts
 from koordgen.operate.dashboard_access import AccessRefused, access
-from koordgen.operate.estop import ANSWER_TIMEOUT, CannotStop, StoppableFleet, find_fleet, find_key, show, stop_all
+from koordgen.operate.estop import (
+    ANSWER_TIMEOUT,
+    CannotStop,
+    Contact,
+    StoppableFleet,
+    contacts_of,
+    find_fleet,
+    show,
+    stop_all,
+)
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
@@ -28,24 +37,24 @@ def dashboard(options: Namespace) -> int:
     try:
         allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
         found = find_fleet(Path(options.fleet), console.notify)
-        key = find_key(found, options.fleet, options.key, console.notify)
+        facts = _facts(found, options.fleet)
+        contacts = contacts_of(facts.fleet, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     except AccessRefused as error:
         raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
-    facts = _facts(found, options.fleet)
     sys.path.insert(0, str(resources.targets().parent))
     from targets.sim.view.web.dashboard import Dashboard, FleetServer, first_header
 
     targets = facts.plain.get("targets", {})
-    names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
+    names = [(place.name, targets.get(place.name, "")) for place in [contact.place for contact in contacts]]
     plain = {name: value for name, value in facts.plain.items() if name != "targets"}
-    poller = Poller(facts.fleet, key, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
+    poller = Poller(contacts, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
     header = first_header(names, plain)
     board = Dashboard(
         header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
     )
-    stop = _stop(facts.fleet, key) if options.control else None
+    stop = _stop(contacts) if options.control else None
     try:
         server = FleetServer(allowed.host, options.port, board, stop, allowed.token, allowed.tls)
     except (OSError, OverflowError) as error:
@@ -105,11 +114,11 @@ def _facts(fleet: StoppableFleet, path: str) -> Facts:
     return Facts(fleet, plain)
 
 
-def _stop(fleet: StoppableFleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
+def _stop(fleet: Sequence[Contact]) -> Callable[[], list[dict[str, Any]]]:
     """Return a function that stops the fleet and prints the result on this terminal."""
 
     def stop() -> list[dict[str, Any]]:
-        results = stop_all(fleet.places, fleet.application, key, ANSWER_TIMEOUT)
+        results = stop_all(fleet, ANSWER_TIMEOUT)
         console.notify(f"emergency stop from the dashboard\n{show(results, 'text')}")
         robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
         return robots
