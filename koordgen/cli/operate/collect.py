@@ -58,7 +58,9 @@ def _collected(options: Namespace, fleet: Fleet, into: CollectionFolder) -> Coll
             line.show(f"{total / 1e6:.1f} MB")
 
     try:
-        return on_hosts(options, fleet, physical_robots(fleet, options.fleet), lambda opened: collect_all(opened, into, progress))
+        return on_hosts(
+            options, fleet, physical_robots(fleet, options.fleet), lambda opened: collect_all(opened, into, progress)
+        )
     finally:
         line.end()
 

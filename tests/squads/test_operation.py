@@ -1,0 +1,222 @@
+"""Fleets with squads at work: the robots of all levels are stopped, asked and installed, each with its own settings."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from hashlib import blake2s
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from koordgen.cli import main
+from koordgen.cli.operate.ssh import chosen_robots, fleet_hosts, read_fleet
+from koordgen.operate import estop
+from koordgen.operate.estop import Called, CannotStop, Contact, Place, contacts_of, find_fleet
+from koordgen.operate.release import Fleetwide, release_id
+from koordgen.operate.status import StatusAnswer, squads_of, table, to_json
+from tests.build.squad_files import fleet_files
+from tests.operate.fake_host import KEY, KEY_ID, FakeHost, FakeRelease
+from tests.runtime.net.transports import free_ports
+
+ALPHA, BETA = ["alpha.ann", "alpha.bob", "alpha.cyd"], ["beta.eve", "beta.fay", "beta.gus"]
+OTHER = bytes(range(32, 64))
+
+
+def with_keys(folder: Path) -> Path:
+    """Write fleet files in which each fleet has a key of its own. Return the outer file."""
+    outer = fleet_files(folder)
+    (folder / "in").mkdir()
+    for name in ("outer", "alpha", "beta"):
+        path = folder / f"{name}.yaml"
+        path.write_text(path.read_text().replace("insecure: true", f"key: {name}.key"))
+        place = folder / "in" if name == "alpha" else folder
+        write_key(place / f"{name}.key", name)
+    (folder / "alpha.yaml").rename(folder / "in/alpha.yaml")
+    outer.write_text(outer.read_text().replace("alpha.yaml", "in/alpha.yaml"))
+    return outer
+
+
+def write_key(path: Path, name: str) -> None:
+    path.write_bytes(key(name))
+    path.chmod(0o600)
+
+
+def key(name: str) -> bytes:
+    return name.encode().ljust(32, b"-")
+
+
+def contacts(path: Path, warned: list[str], key_path: str | None = None) -> tuple[Contact, ...]:
+    return contacts_of(find_fleet(path, warned.append), str(path), key_path, warned.append)
+
+
+def test_each_robot_is_called_with_the_key_and_the_id_of_its_own_fleet(tmp_path: Path) -> None:
+    warned: list[str] = []
+    found = contacts(with_keys(tmp_path), warned)
+    assert [contact.place.name for contact in found] == [*ALPHA, "dora", *BETA] and not warned
+    assert [(c.robot, c.place.port, c.application, c.key) for c in found[2:5]] == [
+        ("cyd", 48202, 2, key("alpha")), ("dora", 48100, 0, key("outer")), ("eve", 48300, 3, key("beta")),
+    ]  # fmt: skip
+
+
+def test_robots_are_called_although_files_of_other_squads_are_broken(tmp_path: Path) -> None:
+    outer, warned = with_keys(tmp_path), list[str]()
+    (tmp_path / "beta.yaml").unlink()
+    (tmp_path / "in/alpha.yaml").write_text("world: [\n" + (tmp_path / "in/alpha.yaml").read_text())
+    found = {contact.place.name: contact for contact in contacts(outer, warned)}
+    assert list(found) == [*ALPHA, "dora", "beta"]
+    assert found["alpha.bob"].key == key("alpha") and found["alpha.bob"].place.port == 48201
+    assert found["beta"].trouble == "the robots of its fleet are not known"
+    assert "in/alpha.yaml: the file is not YAML" in warned[0] and "beta.yaml: No such file" in warned[1]
+
+    outer.write_text("world: [\n" + outer.read_text())
+    assert [contact.place.name for contact in contacts(outer, warned)] == [*ALPHA, "dora", "beta"]
+    results = estop.stop_all([found["beta"]], 0.1)
+    assert results == [Called(found["beta"].place, "", 0.0, "no answer: the robots of its fleet are not known")]
+
+
+def test_robots_are_called_although_a_key_is_missing(tmp_path: Path) -> None:
+    outer, warned = with_keys(tmp_path), list[str]()
+    (tmp_path / "beta.key").unlink()
+    found = contacts(outer, warned)
+    assert "the robots of beta are not called" in warned[0] and found[-1].trouble.startswith("no key: ")
+    assert found[0].key == key("alpha") and not found[0].trouble
+    write_key(tmp_path / "given.key", "given")
+    given = [contact.key for contact in contacts(outer, warned, str(tmp_path / "given.key"))]
+    assert given == [key("alpha")] * 3 + [key("given")] * 4, "a squad's own key comes first"
+    for file in ("in/alpha.key", "outer.key"):
+        (tmp_path / file).unlink()
+    with pytest.raises(CannotStop):
+        contacts(outer, warned)
+
+
+def test_a_build_names_the_robots_of_both_levels(tmp_path: Path) -> None:
+    for name, number in (("dora", 0), ("alpha.ann", 2), ("alpha.bob", 2), ("beta.ann", 3)):
+        (folder := tmp_path / "build/app" / name).mkdir(parents=True)
+        settings = {
+            "robot": name.rpartition(".")[2], "pid": 0, "peers": [{"host": "h", "port": 1}], "control": 10 + number,
+            "application_id": number, "insecure": True,
+        }  # fmt: skip
+        (folder / "settings.json").write_text(json.dumps(settings))
+        if "." in name:
+            (folder / "outer.json").write_text("{}")
+    warned: list[str] = []
+    found = contacts(tmp_path / "build/app", warned)
+    assert [(c.place.name, c.robot, c.application, c.place.port) for c in found] == [
+        ("alpha.ann", "ann", 2, 12), ("alpha.bob", "bob", 2, 12), ("beta.ann", "ann", 3, 13), ("dora", "dora", 0, 10),
+    ]  # fmt: skip
+    (tmp_path / "outer.yaml").write_text(
+        "insecure: true\nrobots: [{name: dora, address: 'h:9'}, {name: beta, inner: b.yaml}]"
+    )
+    found = contacts(tmp_path / "outer.yaml", warned)
+    assert [(c.place.name, c.place.port) for c in found] == [("dora", 1009), ("beta.ann", 13)]
+    assert "b.yaml: No such file or directory; calling those of the last build" in warned[-1]
+
+
+def answer(name: str, outer: dict[str, Any] | None = None) -> StatusAnswer:
+    report: dict[str, Any] = {
+        "release": "a" * 32, "phase": "running", "round": 70, "current": 1, "rounds": 1, "peers": {}, "late_ms": {},
+        "monitors": {"violated": []}, "robot": name.rpartition(".")[2],
+    }  # fmt: skip
+    return StatusAnswer(Place(name, "h", 1), report if outer is None else {**report, "outer": outer}, 0.1, "")
+
+
+def test_status_shows_a_squad_above_its_robots() -> None:
+    known = {"robot": "alpha", "host": 1}
+    old = {**known, "host": 0, "phase": "running", "round": 20, "pose": None}  # cut off, and not the host any more
+    new = {**known, "phase": "running", "round": 23, "pose": {"position": [1.0, 2.25, 0.5]}, "battery": None}
+    silent = StatusAnswer(Place("beta.eve", "h", 2), None, 2.0, "no answer")
+    answers = [answer("alpha.ann", old), answer("alpha.bob", new), answer("alpha.cyd", known), answer("dora"), silent]
+    lines = table(answers).splitlines()
+    assert [line.split()[:4] for line in lines[1:6]] == [
+        ["alpha", "a" * 8, "running", "23"], *[[name, "a" * 8, "running", "70"] for name in ALPHA],
+        ["dora", "a" * 8, "running", "70"],
+    ]  # fmt: skip
+    assert lines[1].endswith("hosted by alpha.bob; position (m): 1.00, 2.25, 0.50")
+    assert lines[2].startswith("  alpha.ann") and "no robot of it reports that it hosts it" in lines[6]
+    found = json.loads(to_json(answers))
+    assert [robot["robot"] for robot in found["robots"]] == [*ALPHA, "dora", "beta.eve"]
+    assert found["squads"] == [
+        {"robot": "alpha", "members": ALPHA, "host": "alpha.bob", "report": new},
+        {"robot": "beta", "members": ["beta.eve"], "host": None, "report": None},
+    ]
+    assert squads_of([answer("dora")]) == {} and "squads" not in json.loads(to_json([answer("dora")]))
+
+
+def on_one_computer(folder: Path) -> str:
+    """Write fleet files whose robots all run on one computer. Return the outer file."""
+    outer = fleet_files(folder)
+    for name in ("outer", "alpha", "beta"):
+        path = folder / f"{name}.yaml"
+        path.write_text(path.read_text().replace("address:", "host: pi@field, address:"))
+    outer.write_text(outer.read_text() + "deploy: {folder: squads, service: none}\n")
+    return str(outer)
+
+
+def test_commands_name_robots_or_whole_squads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outer = on_one_computer(tmp_path)
+    fleet = read_fleet(outer)
+    robots = chosen_robots(fleet, outer, [])
+    assert [(r.name, r.squad, r.file.name) for r in robots[2:5]] == [
+        ("alpha.cyd", "alpha", "alpha.yaml"), ("dora", "", "outer.yaml"), ("beta.eve", "beta", "beta.yaml"),
+    ]  # fmt: skip
+    assert [r.name for r in chosen_robots(fleet, outer, ["beta", "alpha.bob"])] == ["alpha.bob", *BETA]
+    (host,) = fleet_hosts(fleet, outer, robots)
+    assert (host.robots, host.folder, host.login.text) == ((*ALPHA, "dora", *BETA), "squads", "pi@field")
+    assert main(["start", outer, "alpha.bop"]) == 2
+    assert "did you mean alpha.bob? the robots are alpha, alpha.ann, alpha.bob" in capsys.readouterr().err
+    (tmp_path / "alpha.yaml").write_text((tmp_path / "alpha.yaml").read_text().replace("host: pi@field, ", "", 1))
+    assert main(["logs", outer]) == 1
+    assert "the fleet file names no host for alpha.ann" in capsys.readouterr().err
+
+
+def test_a_release_depends_on_the_keys_of_its_squads() -> None:
+    fleetwide = Fleetwide(7, "app", "none", "python3", KEY_ID)
+    entry = {"bundle": "b", "packages": "p", "host": "h", "venv": ""}
+    ids = {release_id(fleetwide, {"alpha.ann": {**entry, **more}}) for more in ({}, {"key": ""}, {"key": KEY_ID})}
+    assert len(ids) == 3
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> Iterator[FakeHost]:
+    made = FakeHost(tmp_path)
+    yield made
+    with made.session() as session:
+        session.call("stop", robots=None, seconds=60)
+
+
+def test_robots_of_two_squads_with_one_name_share_a_computer(host: FakeHost) -> None:
+    """Their agents have folders, keys, states and logs of their own."""
+    names = ["alpha.ann", "beta.ann"]
+    release = FakeRelease("squads", dict(zip(names, free_ports(2), strict=True)))
+    other = blake2s(OTHER, person=b"koordgen", digest_size=8).hexdigest()
+    for name, files in release.bundles.items():
+        settings = {**json.loads(files["settings.json"]), "robot": "ann", "insecure": False}
+        release.bundles[name] = files | {
+            "settings.json": json.dumps(settings).encode(), "outer.json": b'{"insecure": false}',
+        }  # fmt: skip
+    release.document["robots"] = {"alpha.ann": {"key": other}, "beta.ann": {"key": KEY_ID}}
+    (host.folder / "state").mkdir(parents=True)
+    with host.session() as session:
+        session.call("lock", owner="anna@laptop", what="deploy")
+        session.call("key", OTHER, id=other)
+        release.put(session)
+        assert set(session.call("start", robots=None)["robots"].values()) == {"ready"}
+        assert session.call("status", robot="beta.ann")["document"]["robot"] == "ann"
+        for name in names:
+            texts = [text for _, text in session.call("logs", robot=name, lines=9)["lines"]]
+            assert texts == ["starts ann"]
+            (host.folder / "traces" / name / "outer/trace-1.jsonl").write_text("of the squad\n")
+            assert [each["name"] for each in session.call("traces", robot=name)["files"]] == ["trace.jsonl"]
+            (listed,) = session.call("traces", robot=name, outer=True)["files"]
+            fetched = session.call("fetch", robot=name, file=listed["name"], offset=3, length=99, outer=True)
+            assert fetched["data"] == b"the squad\n"
+        assert sorted(session.call("stop", robots=None, seconds=60)["stopped"]) == names
+    folder = host.folder
+    own = [json.loads((folder / "settings" / release.id / name / "settings.json").read_text()) for name in names]
+    outer = [json.loads((folder / "settings" / release.id / name / "outer.json").read_text()) for name in names]
+    assert [each["state"] for each in own] == [str(folder / "state/alpha"), str(folder / "state/beta")]
+    assert [Path(each["key_file"]).stem for each in own] == [other, KEY_ID]
+    assert [Path(each["key_file"]).read_bytes() for each in outer] == [KEY, KEY]
+    assert len({each["trace"] for each in own + outer}) == 4
