@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from hashlib import blake2s
 from pathlib import Path
@@ -10,15 +13,28 @@ from typing import Any
 
 import pytest
 
+from benchmarks.fixtures.deployed import place
+from benchmarks.fixtures.ssh_hosts import ssh_fleet
+from koordgen.build.squads import joined_hash
 from koordgen.cli import main
 from koordgen.cli.operate.ssh import chosen_robots, fleet_hosts, read_fleet
 from koordgen.operate import estop
 from koordgen.operate.estop import Called, CannotStop, Contact, Place, contacts_of, find_fleet
 from koordgen.operate.release import Fleetwide, release_id
+from koordgen.operate.run_levels import join_hosts
 from koordgen.operate.status import StatusAnswer, squads_of, table, to_json
+from koordgen.runtime.agent import squad
+from koordgen.runtime.trace.schema import FORMAT, Round
+from koordgen.verify.audit.history import mission
+from koordgen.verify.audit.trace_files import read_trace_file
+from targets.sim.trace.files import read
 from tests.build.squad_files import fleet_files
 from tests.operate.fake_host import KEY, KEY_ID, FakeHost, FakeRelease
+from tests.runtime.agent.test_process import started
 from tests.runtime.net.transports import free_ports
+from tests.squads.test_processes import Processes, until
+
+__all__ = ["started"]  # a fixture
 
 ALPHA, BETA = ["alpha.ann", "alpha.bob", "alpha.cyd"], ["beta.eve", "beta.fay", "beta.gus"]
 OTHER = bytes(range(32, 64))
@@ -122,6 +138,10 @@ def answer(name: str, outer: dict[str, Any] | None = None) -> StatusAnswer:
     return StatusAnswer(Place(name, "h", 1), report if outer is None else {**report, "outer": outer}, 0.1, "")
 
 
+def test_the_hash_of_both_levels_is_the_runtimes() -> None:
+    assert joined_hash("ab", "cd") == squad._joined("ab", "cd") != joined_hash("cd", "ab")
+
+
 def test_status_shows_a_squad_above_its_robots() -> None:
     known = {"robot": "alpha", "host": 1}
     old = {**known, "host": 0, "phase": "running", "round": 20, "pose": None}  # cut off, and not the host any more
@@ -220,3 +240,82 @@ def test_robots_of_two_squads_with_one_name_share_a_computer(host: FakeHost) -> 
     assert [Path(each["key_file"]).stem for each in own] == [other, KEY_ID]
     assert [Path(each["key_file"]).read_bytes() for each in outer] == [KEY, KEY]
     assert len({each["trace"] for each in own + outer}) == 4
+
+
+def squad_trace(folder: Path, host: str, rounds: range, name: str = "trace.jsonl", mark: str = "") -> None:
+    """Write a trace of `alpha` that one host wrote, on a clock of its own."""
+    (place := folder / "robots" / f"alpha.{host}" / "outer").mkdir(parents=True, exist_ok=True)
+    header = {"kind": "header", "format": FORMAT, "app": "a", "robot": "alpha", "pid": 0, "n_sys": 1, "delta": 0.1}
+    records: list[dict[str, Any]] = [{**header, "program_hash": "b" * 16}]
+    records += [{"kind": "phase", "phase": "running", "detail": f"mission ab, round 1 at 7 s of fleet time{mark}"}]
+    for number in rounds:
+        base = {"sensors": {}, "locals": {"k": number}, "shared": {}, "actuators": {}}
+        records.append({"kind": "round", "round": number, "event": mark or None, "late": 0.0, **base} if number else
+                       {"kind": "init", "stopped": False, **base})  # fmt: skip
+    start = len(host) * 1000.0
+    lines = [json.dumps(each if k == 0 else {**each, "time": start + k * 0.1}) for k, each in enumerate(records)]
+    (place / name).write_text("\n".join(lines) + "\n")
+
+
+def test_the_traces_of_a_squads_hosts_become_one(tmp_path: Path) -> None:
+    """Rounds that a host recorded, but that its successor recorded again, count as the successor's."""
+    squad_trace(tmp_path, "ann", range(6), "trace-1.jsonl", "first")
+    squad_trace(tmp_path, "bob", range(5, 9), mark="second")
+    squad_trace(tmp_path, "ann", range(8, 12), mark="third")
+    squad_trace(tmp_path, "cyd", range(0))  # it has lost the claim before its first round
+    for _ in range(2):  # also if a later collection does it again
+        join_hosts(tmp_path, "alpha")
+        files = sorted(path.name for path in (tmp_path / "robots/alpha").iterdir())
+        assert files == ["trace-1.jsonl", "trace-2.jsonl", "trace.jsonl"]
+    (history,) = mission([read_trace_file(path) for path in (tmp_path / "robots/alpha").iterdir()]).histories
+    assert [line.record["event"] for _, line in sorted(history.rounds.items())] == [
+        *["first"] * 4, *["second"] * 3, *["third"] * 4,
+    ]  # fmt: skip
+    assert history.name == "alpha" and history.init is not None
+
+
+@pytest.mark.slow
+def test_squads_are_deployed_and_their_traces_collected(
+    tmp_path: Path, started: list[subprocess.Popen[str]], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Real traces with a change of the host, which the computer of all robots keeps as it does those of its agents."""
+    processes = Processes(tmp_path, started)
+    until(lambda: len(processes.counts("alpha")) >= 3)
+    host = [*ALPHA][processes.status("alpha.bob")["outer"]["host"]]
+    last = max(processes.counts("alpha"))
+    processes.kill(host)
+    until(lambda: max(processes.counts("alpha")) > last + 4)
+    for process in started:
+        process.kill()
+    with ssh_fleet(tmp_path / "ssh", ["field"]) as ssh:
+        for name in ("outer", "alpha", "beta"):
+            path = tmp_path / f"{name}.yaml"
+            path.write_text(path.read_text().replace("address:", f'host: "{ssh.hosts["field"].login}", address:'))
+        deploy = f'deploy: {{folder: koordgen/fleet, python: "{sys.executable}", service: none, wheels: host}}\n'
+        outer = tmp_path / "outer.yaml"
+        outer.write_text(outer.read_text() + deploy)
+        program = str(tmp_path / "count.koord")
+        assert main(["deploy", program, "--fleet", str(outer), *ssh.arguments]) == 0, capfd.readouterr().err
+        assert "on 7 robots, confirmed" in capfd.readouterr().out
+        assert main(["status", str(outer), *ssh.arguments]) == 5
+        assert "its agent does not run" in capfd.readouterr().out
+        main(["doctor", "--fleet", str(outer), "--format", "json", *ssh.arguments])
+        robots = json.loads(capfd.readouterr().out)["robots"]
+        checks = {each["robot"]: [check["name"] for check in each["checks"]] for each in robots}
+        assert list(checks) == [*ALPHA, "dora", *BETA]
+        assert "outer key" in checks["beta.eve"] and "outer" not in checks["dora"]
+        for robot in checks:
+            for level, folder in (("settings", ""), ("outer", "outer")):
+                for path in (tmp_path / "bundles").glob(f"{robot}.{level}*.jsonl"):
+                    there = place(ssh.hosts["field"]) / "traces" / robot / folder
+                    shutil.copy(path, there / path.name.replace(f"{robot}.{level}", "trace"))
+        run = tmp_path / "run"
+        assert main(["collect", str(outer), "-o", str(run), *ssh.arguments]) == 0, capfd.readouterr().err
+    header, records = read(run / "trace.jsonl")
+    assert [(r.name, r.target) for r in header.robots] == [("alpha", "squad"), ("dora", "car"), ("beta", "squad")]
+    counted = [int(bytes(r.locals["k"])) for r in records if isinstance(r, Round) and r.pid == 0 and r.event]
+    assert counted == sorted(set(counted)) and len(counted) > 4
+    header, records = read(run / "alpha/trace.jsonl")
+    assert [r.name for r in header.robots] == ["ann", "bob", "cyd"] and header.applications == ("triangle", "outer")
+    assert {r.application for r in records if isinstance(r, Round)} == {"triangle", "outer"}
+    assert (run / "source/count.koord").is_file() and (run / "alpha/source/triangle/triangle.koord").is_file()
