@@ -20,7 +20,7 @@ from koordgen.cli import main
 from koordgen.cli.operate.ssh import chosen_robots, fleet_hosts, read_fleet
 from koordgen.operate import estop
 from koordgen.operate.estop import Called, CannotStop, Contact, Place, contacts_of, find_fleet
-from koordgen.operate.release import Fleetwide, release_id
+from koordgen.operate.release import Fleetwide, key_id, release_id
 from koordgen.operate.run_levels import join_hosts
 from koordgen.operate.status import StatusAnswer, squads_of, table, to_json
 from koordgen.runtime.agent import squad
@@ -52,6 +52,10 @@ def with_keys(folder: Path) -> Path:
     (folder / "alpha.yaml").rename(folder / "in/alpha.yaml")
     outer.write_text(outer.read_text().replace("alpha.yaml", "in/alpha.yaml"))
     return outer
+
+
+def with_program(folder: Path) -> None:
+    shutil.copy(folder.parent / "triangle.koord", folder)
 
 
 def write_key(path: Path, name: str) -> None:
@@ -128,6 +132,22 @@ def test_a_build_names_the_robots_of_both_levels(tmp_path: Path) -> None:
     found = contacts(tmp_path / "outer.yaml", warned)
     assert [(c.place.name, c.place.port) for c in found] == [("dora", 1009), ("beta.ann", 13)]
     assert "b.yaml: No such file or directory; calling those of the last build" in warned[-1]
+
+
+def test_the_keys_that_each_robot_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    outer = str(with_keys(tmp_path))
+    with_program(tmp_path / "in")
+    assert main(["key", "list", outer, "--format", "json"]) == 0
+    found = [
+        (each["robot"], Path(each["file"]).name, each["id"]) for each in json.loads(capsys.readouterr().out)["keys"]
+    ]
+    names = [("alpha.ann", "alpha"), ("alpha.ann", "outer"), ("alpha.bob", "alpha")]
+    assert found[:3] == [(robot, f"{name}.key", key_id(key(name))) for robot, name in names]
+    assert len(found) == 13 and found[6][:2] == ("dora", "outer.key")
+    (tmp_path / "beta.key").unlink()
+    assert main(["key", "list", outer]) == 1
+    told = capsys.readouterr()
+    assert told.err.count("beta.key: No such file") == 1 and "alpha.cyd" in told.out
 
 
 def answer(name: str, outer: dict[str, Any] | None = None) -> StatusAnswer:

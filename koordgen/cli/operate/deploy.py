@@ -56,7 +56,11 @@ def rollback(options: Namespace) -> int:
 
 
 def key(options: Namespace) -> int:
-    """Make a key, or rotate the key of a fleet. Raises Failure."""
+    """Make a key, rotate the key of a fleet, or list the keys that its robots need. Raises Failure."""
+    if options.action == "list":
+        from koordgen.cli.operate.keys import list_keys
+
+        return list_keys(options)
     return _rotate(options) if options.action == "rotate" else _new_key(options)
 
 
