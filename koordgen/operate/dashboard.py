@@ -64,6 +64,70 @@ class Poller:
             self._over.wait(max(0.0, began + EVERY - time.monotonic()))
 
 
+class RowsOfLevels:
+    """Distributor of answers to the rows of the dashboard: one for each physical robot, and one for each squad.
+
+    The row of a squad is above those of its robots, and shows what its host reports of it. Robots of all levels have
+    one numbering there, that of the rows. So the pids in reports are replaced, and names of the applications and
+    variables of a squad's fleet begin with the squad's name. Without squads, answers are passed on as they are.
+
+    `show` is called with a row, its report, or None, and a note.
+    """
+
+    def __init__(self, fleet: Sequence[Contact], show: Callable[[int, Mapping[str, Any] | None, str], None]) -> None:
+        names = [contact.place.name for contact in fleet]
+        squads = [name.rpartition(".")[0] for name in names]
+        self.squads = frozenset(squads) - {""}
+        above = dict.fromkeys(name for pair in zip(squads, names, strict=True) for name in pair if name)
+        self.names = list(above) if self.squads else names
+        self._rows = {name: row for row, name in enumerate(self.names)} if self.squads else {}
+        self._show = show
+        self._hosts: dict[str, str] = {}  # squad -> robot that hosts it
+
+    def on_answer(self, index: int, asked: StatusAnswer) -> None:
+        """Pass on the answer of the physical robot with this index."""
+        if not self.squads:
+            self._show(index, asked.report, asked.note)
+            return
+        name, report, note = asked.place.name, asked.report, asked.note
+        squad = name.rpartition(".")[0]
+        try:
+            shown = None if report is None else self._renumbered(squad, report)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of another release
+            report, shown, note = None, None, f"its report cannot be read: {error!r}"
+        self._show(self._rows[name], shown, note)
+        if squad:
+            self._show_squad(squad, name, {} if report is None else report)
+
+    def _show_squad(self, squad: str, name: str, report: Mapping[str, Any]) -> None:
+        outer = report.get("outer", {})
+        if "phase" in outer:
+            self._hosts[squad] = name
+            known = {key: report[key] for key in ("release", "boot") if key in report}
+            own = {key: value for key, value in outer.items() if key not in ("robot", "host")}
+            self._show(self._rows[squad], {**known, **own}, f"hosted by {name}")
+        elif self._hosts.get(squad, name) == name:
+            self._show(self._rows[squad], None, "no robot of it reports that it hosts it")
+
+    def _renumbered(self, squad: str, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a report with the numbers of rows in place of the pids of a fleet. `squad`: "" for the outer fleet."""
+        prefix = f"{squad}." if squad else ""
+        rows = [self._rows.get(f"{prefix}{name}", 0) for name in report.get("names", ())]
+        changed = dict(report)
+        changed["peers"] = {str(rows[int(pid)]): each for pid, each in report.get("peers", {}).items()}
+        if squad:
+            changed["applications"] = [
+                {**each, "name": f"{prefix}{each['name']}", "members": [rows[pid] for pid in each["members"]]}
+                for each in report.get("applications", ())
+            ]
+            changed["shared"] = [[f"{prefix}{name}", *more] for name, *more in report.get("shared", ())]
+            changed["outcomes"] = [
+                [first, count, outcome, f"{prefix}{detail}", late]
+                for first, count, outcome, detail, late in report.get("outcomes", ())
+            ]
+        return changed
+
+
 class Facts(Node):
     """Facts about a fleet that the robots do not report themselves.
 

@@ -23,7 +23,7 @@ from koordgen.verify.audit.history import FleetMission, mission
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
-SQUAD = "squad"  # target of a robot that is a squad, in a trace
+SQUAD = "squad"  # target of a robot that is a squad, in a trace; equal to that of simulated runs (tested)
 
 
 def flown(folder: Path) -> FleetMission:

@@ -18,8 +18,10 @@ from benchmarks.fixtures.ssh_hosts import ssh_fleet
 from koordgen.build.squads import joined_hash
 from koordgen.cli import main
 from koordgen.cli.operate.ssh import chosen_robots, fleet_hosts, read_fleet
-from koordgen.operate import estop
+from koordgen.operate import estop, run_folder, run_levels
+from koordgen.operate.dashboard import RowsOfLevels
 from koordgen.operate.estop import Called, CannotStop, Contact, Place, contacts_of, find_fleet
+from koordgen.operate.host_tool import folder
 from koordgen.operate.release import Fleetwide, key_id, release_id
 from koordgen.operate.run_levels import join_hosts
 from koordgen.operate.status import StatusAnswer, squads_of, table, to_json
@@ -27,7 +29,9 @@ from koordgen.runtime.agent import squad
 from koordgen.runtime.trace.schema import FORMAT, Round
 from koordgen.verify.audit.history import mission
 from koordgen.verify.audit.trace_files import read_trace_file
+from targets.sim.base import fleets
 from targets.sim.trace.files import read
+from targets.sim.view.web.fleet_rows import Report, read_report
 from tests.build.squad_files import fleet_files
 from tests.operate.fake_host import KEY, KEY_ID, FakeHost, FakeRelease
 from tests.runtime.agent.test_process import started
@@ -182,6 +186,44 @@ def test_status_shows_a_squad_above_its_robots() -> None:
         {"robot": "beta", "members": ["beta.eve"], "host": None, "report": None},
     ]
     assert squads_of([answer("dora")]) == {} and "squads" not in json.loads(to_json([answer("dora")]))
+
+
+def test_the_dashboard_has_a_row_for_each_squad_and_robot() -> None:
+    names = ["alpha.ann", "alpha.bob", "dora"]
+    board: list[Any] = []
+    contacts = [Contact(Place(name, "h", 1), name.rpartition(".")[2], 0, None) for name in names]
+    rows = RowsOfLevels(contacts, lambda row, report, note: board.append((row, report and dict(report), note)))
+    assert rows.names == ["alpha", *names] and rows.squads == {"alpha"}
+    ann = answer("alpha.ann", {"robot": "alpha", "host": 0, "phase": "running", "round": 20, "pose": None})
+    assert isinstance(ann.report, dict)
+    ann.report.update(
+        names=["ann", "bob"], peers={"1": {"loss": 0.5}}, shared=[["triangle.goal", "allwrite", 3, 1]], boot="ab",
+        applications=[{"name": "triangle", "members": [0, 1]}], outcomes=[[1, 1, "event", "triangle: Keep", [0.1]]],
+    )  # fmt: skip
+    rows.on_answer(0, ann)
+    (row, report, _), (above, squad, note) = board
+    assert (row, above, note) == (1, 0, "hosted by alpha.ann") and report is not None and squad is not None
+    assert report["peers"] == {"2": {"loss": 0.5}} and report["shared"] == [["alpha.triangle.goal", "allwrite", 3, 1]]
+    assert report["applications"] == [{"name": "alpha.triangle", "members": [1, 2]}]
+    assert report["outcomes"] == [[1, 1, "event", "alpha.triangle: Keep", [0.1]]]
+    assert (squad["round"], squad["release"], squad["boot"]) == (20, "a" * 32, "ab")
+    assert isinstance(read_report(squad), Report)
+    rows.on_answer(1, answer("alpha.bob", {"robot": "alpha", "host": 0}))
+    assert board[-1][0] == 2, "a robot that is not the host tells nothing of the squad"
+    rows.on_answer(0, StatusAnswer(Place("alpha.ann", "h", 1), None, 0.5, "no answer"))
+    assert board[-2:] == [(1, None, "no answer"), (0, None, "no robot of it reports that it hosts it")]
+    ann.report["peers"] = {"7": {}}
+    rows.on_answer(0, ann)
+    assert board[-2][1] is None and "its report cannot be read" in board[-2][2]
+
+    plain = RowsOfLevels(contacts[2:], lambda row, report, note: board.append((row, report and dict(report), note)))
+    dora = answer("dora")
+    plain.on_answer(0, dora)
+    assert board[-1] == (0, dora.report, "") and plain.names == ["dora"]
+
+
+def test_names_are_those_of_simulated_runs() -> None:
+    assert (run_folder.SQUAD, run_levels.HOSTED) == (fleets.SQUAD, folder.OUTER)
 
 
 def on_one_computer(folder: Path) -> str:

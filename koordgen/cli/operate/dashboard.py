@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from koordgen.cli.base import console
 from koordgen.lang import resources
-from koordgen.operate.dashboard import Facts, Poller, built_facts
+from koordgen.operate.dashboard import Facts, Poller, RowsOfLevels, built_facts
 from koordgen.operate.dashboard_access import AccessRefused, access
 from koordgen.operate.estop import (
     ANSWER_TIMEOUT,
@@ -25,6 +25,8 @@ from koordgen.operate.estop import (
     show,
     stop_all,
 )
+from koordgen.operate.physical import physical_robots
+from koordgen.operate.run_folder import SQUAD
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
@@ -47,9 +49,10 @@ def dashboard(options: Namespace) -> int:
     from targets.sim.view.web.dashboard import Dashboard, FleetServer, first_header
 
     targets = facts.plain.get("targets", {})
-    names = [(place.name, targets.get(place.name, "")) for place in [contact.place for contact in contacts]]
+    rows = RowsOfLevels(contacts, lambda row, report, note: board.on_answer(row, report, note))
+    names = [(name, SQUAD if name in rows.squads else targets.get(name, "")) for name in rows.names]
     plain = {name: value for name, value in facts.plain.items() if name != "targets"}
-    poller = Poller(contacts, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
+    poller = Poller(contacts, rows.on_answer)
     header = first_header(names, plain)
     board = Dashboard(
         header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
@@ -102,14 +105,14 @@ def _facts(fleet: StoppableFleet, path: str) -> Facts:
     if Path(path).is_dir():
         return built_facts(fleet, Path(path))
     try:
-        read, _ = read_fleet(path, all_targets(), None)
+        read, _ = read_fleet(path, all_targets(), None, squads=True)
     except Rejected as error:
         reason = error.found[0][1].message if error.found else "it cannot be read"
         console.notify(f"warning: the map shows no obstacles: {path}: {reason}")
         return Facts(fleet, {})
     plain = {
         "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
-        "world": read.world.facts, "targets": {robot.name: robot.target for robot in read.robots},
+        "world": read.world.facts, "targets": {robot.name: robot.entry.target for robot in physical_robots(read, path)},
     }  # fmt: skip
     return Facts(fleet, plain)
 
