@@ -6,10 +6,12 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from hashlib import blake2s
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import pytest
 
@@ -18,7 +20,7 @@ from benchmarks.fixtures.ssh_hosts import ssh_fleet
 from koordgen.build.squads import joined_hash
 from koordgen.cli import main
 from koordgen.cli.operate.ssh import chosen_robots, fleet_hosts, read_fleet
-from koordgen.operate import estop, run_folder, run_levels
+from koordgen.operate import basestation, estop, run_folder, run_levels
 from koordgen.operate.dashboard import RowsOfLevels
 from koordgen.operate.estop import Called, CannotStop, Contact, Place, contacts_of, find_fleet
 from koordgen.operate.host_tool import folder
@@ -27,6 +29,7 @@ from koordgen.operate.run_levels import join_hosts
 from koordgen.operate.status import StatusAnswer, squads_of, table, to_json
 from koordgen.runtime.agent import squad
 from koordgen.runtime.trace.schema import FORMAT, Round
+from koordgen.runtime.vehicle.feed import Feed
 from koordgen.verify.audit.history import mission
 from koordgen.verify.audit.trace_files import read_trace_file
 from targets.sim.base import fleets
@@ -381,3 +384,31 @@ def test_squads_are_deployed_and_their_traces_collected(
     assert [r.name for r in header.robots] == ["ann", "bob", "cyd"] and header.applications == ("triangle", "outer")
     assert {r.application for r in records if isinstance(r, Round)} == {"triangle", "outer"}
     assert (run / "source/count.koord").is_file() and (run / "alpha/source/triangle/triangle.koord").is_file()
+
+
+class StillSystem:
+    """Stand-in for `motioncapture.MotionCapture` without a frame."""
+
+    rigidBodies: ClassVar[dict[str, Any]] = {}
+
+    def waitForNextFrame(self) -> None:
+        time.sleep(0.01)
+
+
+def test_robots_of_squads_get_their_poses_with_the_key_of_their_fleet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outer = with_keys(tmp_path)
+    with_program(tmp_path / "in")
+    alpha, fed = tmp_path / "in/alpha.yaml", 'target: quad, settings: {positioning: vision, feed: "udp:0.0.0.0:47310"}'
+    alpha.write_text(alpha.read_text().replace("target: quad", fed, 1))
+    monkeypatch.setattr(basestation, "connected", lambda *_: StillSystem())
+    serving = basestation.station(read_fleet(str(outer)), str(outer), None, "vicon", "h", 50.0, pytest.fail)
+    sent: dict[int, bytes] = {}
+    sender: Any = SimpleNamespace(sendto=lambda datagram, address: sent.update({address[1]: datagram}))
+    bodies = {name: ((1.0 * place, 2.0, 1.0), (0.0, 0.0, 0.0, 1.0)) for place, name in enumerate(["alpha.ann", "dora"])}
+    serving._pass_on(sender, (1.0, bodies), lambda: 1.0)
+    assert serving.camera.end() and len(sent) == 2
+    for name, level, number, port in (("ann", "alpha", 2, 47310), ("dora", "outer", 0, 47300)):
+        feed = Feed(name, key(level), number)
+        assert feed.receive(sent[port], 1.0), feed.rejected
