@@ -243,7 +243,7 @@ def _basestation(options: Namespace) -> int:
     from koordgen.cli.base.terminal import ProgressLine
     from koordgen.operate.basestation import CannotServe, WrongFiles, all_targets, station
 
-    fleet, _ = read_fleet(options.fleet, all_targets(), None)
+    fleet, _ = read_fleet(options.fleet, all_targets(), None, squads=True)
     line = ProgressLine(sys.stderr)
     try:
         serving = station(fleet, options.fleet, options.key, options.system, options.host, options.rate, notify)

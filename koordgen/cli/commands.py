@@ -78,7 +78,7 @@ COMMANDS: dict[str, Command] = {
     "doctor": Command(ROBOTS, "check whether a robot or a deployed fleet is ready for a mission; nothing moves",
         options.doctor, "cli#doctor", ("koordgen doctor build/lineform/alice",
         "koordgen doctor --fleet fleet.yaml --format json")),
-    "key": Command(ROBOTS, "create a fleet's key, or replace the key of a deployed fleet", options.key, "safety", (
+    "key": Command(ROBOTS, "create, replace or list the keys of a fleet", options.key, "safety", (
         "koordgen key new fleet.key", "koordgen key rotate fleet.yaml")),
     "basestation": Command(ROBOTS, "send the poses of a motion capture system to the robots of a fleet",
         options.basestation, "cli#basestation", (

@@ -19,7 +19,8 @@ from koordgen.fleet.address import parse_address
 from koordgen.fleet.file import Fleet
 from koordgen.fleet.manifest import Target, available, load
 from koordgen.fleet.mocap import Mocap, Quaternion, Vector
-from koordgen.lang.node import Node
+from koordgen.lang.node import Node, replace
+from koordgen.operate.physical import PhysicalRobot, physical_robots
 from koordgen.runtime.net.seal import BadKey, load_key
 from koordgen.runtime.ops.host import pip_install
 from koordgen.runtime.vehicle.datagrams import raw_clock
@@ -59,9 +60,26 @@ class Receiver(Node):
 
 
 def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ...]:
-    """Return the robots that are configured to receive their position from a feed. Raises WrongFiles."""
+    """Return the robots that are configured to receive their position from a feed. Raises WrongFiles.
+
+    A robot of a squad is called SQUAD.ROBOT.
+    """
+    found = _own_receivers(fleet, targets)
+    for squad, inner in fleet.inner_fleets.items():
+        found += [replace(each, robot=f"{squad}.{each.robot}") for each in _own_receivers(inner, targets)]
+    if not found:
+        raise WrongFiles(
+            "no robot of this fleet receives a position feed", "a quad receives a feed with `positioning: vision`"
+        )
+    return tuple(found)
+
+
+def _own_receivers(fleet: Fleet, targets: Mapping[str, Target]) -> list[Receiver]:
+    """Return the receivers of a fleet without those of its squads. Raises WrongFiles."""
     found = []
     for robot in fleet.robots:
+        if robot.inner is not None:
+            continue
         feed = targets[robot.target].feed
         if feed is None or any(robot.settings.get(key) == value for key, value in feed.unless.items()):
             continue
@@ -73,16 +91,13 @@ def receivers(fleet: Fleet, targets: Mapping[str, Target]) -> tuple[Receiver, ..
                 "in the fleet file, write the address as udp:HOST:PORT, for example udp:0.0.0.0:47300",
             )
         found.append(Receiver(robot.name, robot.host if host == "0.0.0.0" else host, port))
-    if not found:
-        raise WrongFiles(
-            "no robot of this fleet receives a position feed", "a quad receives a feed with `positioning: vision`"
-        )
-    return tuple(found)
+    return found
 
 
 class Forwarder:
-    """Selector of the datagrams for each robot. It uses no socket and no clock.
+    """Selector of the datagrams for each robot of one fleet. It uses no socket and no clock.
 
+    `robots`: for the fleet of a squad, names SQUAD.ROBOT, as the bodies are called.
     `session` must be greater than in any earlier run, because agents refuse datagrams of older sessions.
     """
 
@@ -126,7 +141,8 @@ class Forwarder:
         self._sequence += 1
         self._sent[name] += 1
         place = Pose(Point(*pose[0]), pose[1])
-        sample = Sample(name, self._session, self._sequence, now, place, now - measured, self._application)
+        own = name.rpartition(".")[2]
+        sample = Sample(own, self._session, self._sequence, now, place, now - measured, self._application)
         return encode(sample, self._key)
 
     def summary(self, now: float, seconds: float) -> str:
@@ -206,11 +222,12 @@ def connected(name: str, host: str) -> Any:
 class Station:
     """Base station: reads frames of one motion capture system and sends robots their poses.
 
+    `forwarders`: one for each squad with receivers, and one for the other robots, "".
     Raises CannotServe.
     """
 
-    def __init__(self, system: Any, forwarder: Forwarder, to: tuple[Receiver, ...]) -> None:
-        self._forwarder = forwarder
+    def __init__(self, system: Any, forwarders: Mapping[str, Forwarder], to: tuple[Receiver, ...]) -> None:
+        self._forwarders = forwarders
         self._addresses = {receiver.robot: _resolved(receiver) for receiver in to}
         self.camera = Camera(system)
 
@@ -226,16 +243,21 @@ class Station:
                 with suppress(queue.Empty):
                     self._pass_on(sender, self.camera.frames.get(timeout=_LOOK), clock)
                 if (now := clock()) - said >= SUMMARY_EVERY:
-                    report(self._forwarder.summary(now, now - said))
+                    report("  ".join([each.summary(now, now - said) for each in self._forwarders.values()]))
                     said = now
 
     def _pass_on(self, sender: socket.socket, found: Frame | Exception, clock: Callable[[], float]) -> None:
         if isinstance(found, Exception):
             raise CannotServe(f"the motion capture system failed: {found}", "repair it, then run the command again")
         measured, bodies = found
-        for robot, datagram in self._forwarder.frame(bodies, measured, clock()).items():
-            with suppress(OSError):  # the socket's buffer is full, or no agent listens at the robot's address yet
-                sender.sendto(datagram, self._addresses[robot])
+        of_squads: dict[str, dict[str, Body]] = {squad: {} for squad in self._forwarders}
+        for name, body in bodies.items():
+            squad = name.rpartition(".")[0]
+            of_squads[squad if squad in of_squads else next(iter(of_squads))][name] = body
+        for squad, forwarder in self._forwarders.items():
+            for robot, datagram in forwarder.frame(of_squads[squad], measured, clock()).items():
+                with suppress(OSError):  # the socket's buffer is full, or no agent listens at the robot's address yet
+                    sender.sendto(datagram, self._addresses[robot])
 
 
 def station(
@@ -246,11 +268,19 @@ def station(
     Raises CannotServe.
     """
     to = receivers(fleet, all_targets())
-    key = keyed(fleet, path, key_path)
     session = next_session(Path(path).parent / SESSION, time.time_ns() // 1_000_000, warn)
-    robots = tuple(receiver.robot for receiver in to)
-    forwarder = Forwarder(robots, fleet.mocap, key, session, rate, fleet.application_id)
-    return Station(connected(name, host), forwarder, to)
+    own = {robot.name: robot for robot in physical_robots(fleet, path)}
+    by_squad: dict[str, list[PhysicalRobot]] = {}
+    for receiver in to:
+        robot = own[receiver.robot]
+        by_squad.setdefault(robot.squad, []).append(robot)
+    forwarders = {}
+    for squad, robots in by_squad.items():
+        level = robots[0].fleet
+        key = keyed(level, str(robots[0].file), None if squad else key_path)
+        names = tuple([robot.name for robot in robots])
+        forwarders[squad] = Forwarder(names, level.mocap, key, session, rate, level.application_id)
+    return Station(connected(name, host), forwarders, to)
 
 
 def next_session(path: Path, now: int, warn: Callable[[str], None]) -> int:

@@ -1,5 +1,7 @@
 """Collection of robots' traces and logs from their hosts into one run folder.
 
+A robot of a squad has a second trace on its host: that of the squad, from the times at which it hosted the squad.
+
 A file is fetched as NAME.part. It is renamed to NAME when it is as long as the host's file was at the start.
 A later collection into the same folder fetches only the missing bytes. Whenever a robot's agent starts again, its
 current trace on the host is renamed to an older, numbered part (koordgen/runtime/trace/parts.py). The collection
@@ -18,12 +20,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from koordgen.lang.node import Node
-from koordgen.operate.hosts import HostError, Sessions, SshSession
+from koordgen.operate.hosts import Answer, HostError, Sessions, SshSession
 from koordgen.operate.logs import clock_offset
 from koordgen.operate.run_folder import ROBOTS, TRACE
+from koordgen.operate.run_levels import HOSTED
 from koordgen.runtime.trace.parts import base_of, numbered
 
 MARKER = ".koord-collect"  # file with the state for later collections; a simulation never clears a folder that has it
@@ -122,12 +125,27 @@ class Collection(Node):
 
     robots: files of each robot.
     missed: reason why a robot's files were not collected.
-    programs: for each release that a host still has, newest first: the files of its programs, by path.
+    programs: fleet -> for each release that a host still has, newest first: the files of its programs, by path. The
+        fleets are "" and the squads.
     """
 
     robots: dict[str, Collected]
     missed: dict[str, HostError | CannotCollect | OSError]
-    programs: list[dict[str, bytes]]
+    programs: dict[str, list[dict[str, bytes]]]
+
+
+class TraceSource(NamedTuple):
+    """Trace files on a host: of a robot, or of the squad that the robot hosted at times (`is_outer`)."""
+
+    session: SshSession
+    robot: str
+    is_outer: bool = False
+
+    async def call(self, verb: str, **arguments: Any) -> Answer:
+        """Send a request about these files. Raises HostError."""
+        if self.is_outer:
+            arguments["outer"] = True
+        return await self.session.call(verb, robot=self.robot, **arguments)
 
 
 async def collect_all(sessions: Sessions, into: CollectionFolder, progress: Callable[[int], None]) -> Collection:
@@ -136,7 +154,7 @@ async def collect_all(sessions: Sessions, into: CollectionFolder, progress: Call
     missed: dict[str, HostError | CannotCollect | OSError] = {
         robot: error for error in sessions.failed for robot in error.host.robots
     }
-    programs: list[dict[str, bytes]] = []
+    programs: dict[str, list[dict[str, bytes]]] = {}
 
     async def of_host(session: SshSession) -> None:
         for robot in session.host.robots:
@@ -146,8 +164,9 @@ async def collect_all(sessions: Sessions, into: CollectionFolder, progress: Call
                     found[robot] = await collect(session, robot, into, ahead, progress)
                 except CannotCollect:  # try again: the agent may have begun another part after the files were listed
                     found[robot] = await collect(session, robot, into, ahead, progress)
-                if not programs:
-                    programs.extend(await _programs(session, robot))
+                squad = robot.rpartition(".")[0]
+                if squad not in programs:
+                    programs[squad] = await _programs(session, robot)
             except (HostError, CannotCollect, OSError) as error:
                 missed[robot] = error
 
@@ -178,14 +197,24 @@ async def collect(
     progress: called with the number of bytes of each piece that arrives.
     """
     folder = into.robot(robot)
-    answer = await session.call("traces", robot=robot)
-    sizes = {str(each["name"]): int(each["size"]) for each in answer["files"]}
-    _must_be_plain(sizes, robot)
-    fetched = await _recognise_current(session, robot, folder, sizes)
-    for name in sorted(sizes, key=lambda each: (base_of(folder / each)[1] is None, len(each), each)):
-        fetched += await _fetch(session, robot, folder / name, sizes[name], progress)
+    files, fetched = await _fetch_traces(TraceSource(session, robot), folder, progress)
+    if "." in robot:
+        (folder / HOSTED).mkdir(exist_ok=True)
+        more, bytes_ = await _fetch_traces(TraceSource(session, robot, True), folder / HOSTED, progress)
+        files, fetched = files + more, fetched + bytes_
     fetched += await _fetch_log(session, robot, into, ahead)
-    return Collected(robot, len(sizes) + 1, fetched)
+    return Collected(robot, files + 1, fetched)
+
+
+async def _fetch_traces(source: TraceSource, folder: Path, progress: Callable[[int], None]) -> tuple[int, int]:
+    """Complete the local copies of trace files. Return the number of files, and of bytes fetched."""
+    answer = await source.call("traces")
+    sizes = {str(each["name"]): int(each["size"]) for each in answer["files"]}
+    _must_be_plain(sizes, source.robot)
+    fetched = await _recognise_current(source, folder, sizes)
+    for name in sorted(sizes, key=lambda each: (base_of(folder / each)[1] is None, len(each), each)):
+        fetched += await _fetch(source, folder / name, sizes[name], progress)
+    return len(sizes), fetched
 
 
 def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
@@ -197,7 +226,7 @@ def _must_be_plain(names: Mapping[str, int], robot: str) -> None:
             )
 
 
-async def _recognise_current(session: SshSession, robot: str, folder: Path, sizes: Mapping[str, int]) -> int:
+async def _recognise_current(source: TraceSource, folder: Path, sizes: Mapping[str, int]) -> int:
     """Rename the current trace of an earlier collection if it has become a numbered part on the host.
 
     Returns the number of bytes that were fetched to find out.
@@ -210,9 +239,9 @@ async def _recognise_current(session: SshSession, robot: str, folder: Path, size
     name = f"{current.stem}-{latest + 1}{current.suffix}"
     fetched = 0
     if name in sizes:
-        same, fetched = await _is_continued(session, robot, name, current, sizes[name])
+        same, fetched = await _is_continued(source, name, current, sizes[name])
         if not same:
-            still, more = await _is_continued(session, robot, TRACE, current, sizes.get(TRACE, 0))
+            still, more = await _is_continued(source, TRACE, current, sizes.get(TRACE, 0))
             if not still:
                 raise _other(current)
             # the agent began this part during the last collection, so the local file has the right name already
@@ -228,7 +257,7 @@ def _number(name: str) -> int:
     return int(number) if dash and number.isdecimal() else 0
 
 
-async def _fetch(session: SshSession, robot: str, path: Path, size: int, progress: Callable[[int], None]) -> int:
+async def _fetch(source: TraceSource, path: Path, size: int, progress: Callable[[int], None]) -> int:
     """Complete the local copy of a file up to `size` bytes; return the number of bytes fetched.
 
     Raises CannotCollect when the local file is not a beginning of the file on the host.
@@ -236,7 +265,7 @@ async def _fetch(session: SshSession, robot: str, path: Path, size: int, progres
     part = path.with_name(f"{path.name}{PART}")
     here, arrived = (each.stat().st_size if each.exists() else 0 for each in (path, part))
     start = part if arrived > here else path
-    same, fetched = await _is_continued(session, robot, path.name, start, size) if start.exists() else (True, 0)
+    same, fetched = await _is_continued(source, path.name, start, size) if start.exists() else (True, 0)
     if not same:
         raise _other(path)
     if here == size and path.exists():
@@ -248,7 +277,7 @@ async def _fetch(session: SshSession, robot: str, path: Path, size: int, progres
     with part.open("ab") as file:
         for offset in range(known, size, AT_ONCE):
             length = min(AT_ONCE, size - offset)
-            data = await _bytes(session, robot, path.name, offset, length)
+            data = await _bytes(source, path.name, offset, length)
             file.write(data)
             fetched += len(data)
             progress(len(data))
@@ -258,7 +287,7 @@ async def _fetch(session: SshSession, robot: str, path: Path, size: int, progres
     return fetched
 
 
-async def _is_continued(session: SshSession, robot: str, name: str, path: Path, size: int) -> tuple[bool, int]:
+async def _is_continued(source: TraceSource, name: str, path: Path, size: int) -> tuple[bool, int]:
     """Return whether a file of `size` bytes on the host continues the file `path`, and the bytes fetched.
 
     Only the last OVERLAP bytes of the local file are compared.
@@ -267,17 +296,17 @@ async def _is_continued(session: SshSession, robot: str, name: str, path: Path, 
     if not 0 < known <= size:
         return known == 0, 0
     length = min(OVERLAP, known)
-    data = await _bytes(session, robot, name, known - length, length)
+    data = await _bytes(source, name, known - length, length)
     with path.open("rb") as file:
         file.seek(known - length)
         return file.read(length) == data, length
 
 
-async def _bytes(session: SshSession, robot: str, name: str, offset: int, length: int) -> bytes:
-    answer = await session.call("fetch", robot=robot, file=name, offset=offset, length=length)
+async def _bytes(source: TraceSource, name: str, offset: int, length: int) -> bytes:
+    answer = await source.call("fetch", file=name, offset=offset, length=length)
     if len(answer.data) != length:
         raise CannotCollect(
-            f"{robot}: {name} has changed while it was fetched", "run the command again; complete files are kept"
+            f"{source.robot}: {name} has changed while it was fetched", "run the command again; complete files are kept"
         )
     return answer.data
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from koordgen.lang.node import Node
-from koordgen.operate.estop import Place, StoppableFleet
+from koordgen.operate.estop import Contact, Place, StoppableFleet
 from koordgen.operate.status import StatusAnswer, ask_one, odd_releases
 
 EVERY = 0.25  # seconds from one status request to a robot to the next
@@ -28,17 +28,15 @@ OnAnswer = Callable[[int, StatusAnswer], None]
 class Poller:
     """Poller: requests the status of all robots periodically until it is closed.
 
-    `on_answer` is called with a robot's index in `fleet.places` and the robot's answer, with or without a report.
+    `on_answer` is called with a robot's index in `fleet` and the robot's answer, with or without a report.
     Several threads call `on_answer`.
     """
 
-    def __init__(self, fleet: StoppableFleet, key: bytes | None, on_answer: OnAnswer) -> None:
-        self._fleet, self._key, self._on_answer = fleet, key, on_answer
+    def __init__(self, fleet: Sequence[Contact], on_answer: OnAnswer) -> None:
+        self._fleet, self._on_answer = fleet, on_answer
         self._over = threading.Event()
         self._last: dict[int, StatusAnswer] = {}  # last answer of each robot that has answered
-        self._threads = [
-            threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet.places))
-        ]
+        self._threads = [threading.Thread(target=self._ask, args=(index,), daemon=True) for index in range(len(fleet))]
 
     def start(self) -> None:
         """Start to poll all robots."""
@@ -57,14 +55,77 @@ class Poller:
         return frozenset(odd_releases(list(self._last.values())))
 
     def _ask(self, index: int) -> None:
-        place, application = self._fleet.places[index], self._fleet.application
         while not self._over.is_set():
             began = time.monotonic()
-            asked = ask_one(place, application, self._key, began, WITHIN)
+            asked = ask_one(self._fleet[index], began, WITHIN)
             if asked.report is not None:
                 self._last[index] = asked
             self._on_answer(index, asked)
             self._over.wait(max(0.0, began + EVERY - time.monotonic()))
+
+
+class RowsOfLevels:
+    """Distributor of answers to the rows of the dashboard: one for each physical robot, and one for each squad.
+
+    The row of a squad is above those of its robots, and shows what its host reports of it. Robots of all levels have
+    one numbering there, that of the rows. So the pids in reports are replaced, and names of the applications and
+    variables of a squad's fleet begin with the squad's name. Without squads, answers are passed on as they are.
+
+    `show` is called with a row, its report, or None, and a note.
+    """
+
+    def __init__(self, fleet: Sequence[Contact], show: Callable[[int, Mapping[str, Any] | None, str], None]) -> None:
+        names = [contact.place.name for contact in fleet]
+        squads = [name.rpartition(".")[0] for name in names]
+        self.squads = frozenset(squads) - {""}
+        above = dict.fromkeys(name for pair in zip(squads, names, strict=True) for name in pair if name)
+        self.names = list(above) if self.squads else names
+        self._rows = {name: row for row, name in enumerate(self.names)} if self.squads else {}
+        self._show = show
+        self._hosts: dict[str, str] = {}  # squad -> robot that hosts it
+
+    def on_answer(self, index: int, asked: StatusAnswer) -> None:
+        """Pass on the answer of the physical robot with this index."""
+        if not self.squads:
+            self._show(index, asked.report, asked.note)
+            return
+        name, report, note = asked.place.name, asked.report, asked.note
+        squad = name.rpartition(".")[0]
+        try:
+            shown = None if report is None else self._renumbered(squad, report)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of another release
+            report, shown, note = None, None, f"its report cannot be read: {error!r}"
+        self._show(self._rows[name], shown, note)
+        if squad:
+            self._show_squad(squad, name, {} if report is None else report)
+
+    def _show_squad(self, squad: str, name: str, report: Mapping[str, Any]) -> None:
+        outer = report.get("outer", {})
+        if "phase" in outer:
+            self._hosts[squad] = name
+            known = {key: report[key] for key in ("release", "boot") if key in report}
+            own = {key: value for key, value in outer.items() if key not in ("robot", "host")}
+            self._show(self._rows[squad], {**known, **own}, f"hosted by {name}")
+        elif self._hosts.get(squad, name) == name:
+            self._show(self._rows[squad], None, "no robot of it reports that it hosts it")
+
+    def _renumbered(self, squad: str, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a report with the numbers of rows in place of the pids of a fleet. `squad`: "" for the outer fleet."""
+        prefix = f"{squad}." if squad else ""
+        rows = [self._rows.get(f"{prefix}{name}", 0) for name in report.get("names", ())]
+        changed = dict(report)
+        changed["peers"] = {str(rows[int(pid)]): each for pid, each in report.get("peers", {}).items()}
+        if squad:
+            changed["applications"] = [
+                {**each, "name": f"{prefix}{each['name']}", "members": [rows[pid] for pid in each["members"]]}
+                for each in report.get("applications", ())
+            ]
+            changed["shared"] = [[f"{prefix}{name}", *more] for name, *more in report.get("shared", ())]
+            changed["outcomes"] = [
+                [first, count, outcome, f"{prefix}{detail}", late]
+                for first, count, outcome, detail, late in report.get("outcomes", ())
+            ]
+        return changed
 
 
 class Facts(Node):

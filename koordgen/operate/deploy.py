@@ -13,6 +13,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from koordgen.lang.node import Node
@@ -40,6 +41,7 @@ MOST_CLOCK_ERROR = 60.0  # largest difference in seconds between a host's clock 
 NOTHING_CHANGED = "nothing was changed: every robot keeps its release"
 
 Show = Callable[[str], None]
+SquadKeys = Mapping[str, bytes | None]  # robot of a squad -> key of its own fleet; None for a fleet without a key
 
 
 class Failed(Exception):
@@ -86,7 +88,7 @@ class Deployed(Node):
 class Built(Node):
     """Input of a deployment: the bundles, and facts of the fleet file.
 
-    `folder`: the folder of the fleet file.
+    `folder`: the folder of the fleet file. `squad_keys`: key of the own fleet of each robot of a squad.
     """
 
     bundles: Bundles
@@ -96,6 +98,7 @@ class Built(Node):
     service: str
     wheels: str
     folder: Path
+    squad_keys: SquadKeys = MappingProxyType({})
 
 
 class Phases:
@@ -167,12 +170,15 @@ def deploy(hosts: Sequence[Host], options: Options, built: Built, take_over: boo
         python = phases.hosts[0].host.python
         fleetwide = Fleetwide(built.application_id, built.app, built.service, python, key_id(built.key))
         entries = {
-            robot: robots_entry(built.bundles[robot], each.host, found.venv if (found := sets[each.host]) else "")
+            robot: robots_entry(
+                built.bundles[robot], each.host, found.venv if (found := sets[each.host]) else "",
+                key_id(built.squad_keys[robot]) if robot in built.squad_keys else None,
+            )
             for each in phases.hosts for robot in each.host.robots
         }  # fmt: skip
         files = {each.host: file_map(built.bundles, each.host.robots) for each in phases.hosts}
         name, parts = parts_of(fleetwide, files, entries)
-        await _send(phases, parts, built.bundles, sets, built.key)
+        await _send(phases, parts, built, sets)
         await phases.phase("verify", lambda session: session.call("verify", id=name))
         return await _switch(phases, name, inspected)
 
@@ -303,11 +309,7 @@ async def _wheel_sets(phases: Phases, inspected: Mapping[Host, Answer], built: B
 
 
 async def _send(
-    phases: Phases,
-    parts: Mapping[Host, HostPart],
-    bundles: Bundles,
-    sets: Mapping[Host, WheelSet | None],
-    key: bytes | None,
+    phases: Phases, parts: Mapping[Host, HostPart], built: Built, sets: Mapping[Host, WheelSet | None]
 ) -> None:
     """Send each host its missing files, and stage its part of the release, without a switch to it."""
     packed: dict[tuple[str, ...], Any] = {}
@@ -320,7 +322,7 @@ async def _send(
 
     async def send(session: SshSession) -> None:
         host, wheels = session.host, sets[session.host]
-        objects = objects_of(bundles, host.robots)
+        objects = objects_of(built.bundles, host.robots)
         listed = list(wheels.digests.items()) if wheels else []
         lacking = await session.call("missing", objects=list(objects), wheels=listed)
         for entries, data in pack([(digest, digest, objects[digest]) for digest in lacking["objects"]]):
@@ -329,7 +331,8 @@ async def _send(
             for name in lacking["wheels"]:
                 for entries, data in pack([(name, wheels.digests[name], wheels.files[name].read_bytes())]):
                     await session.call("store", data, kind="wheels", entries=entries)
-        await _send_key(session, key)
+        for key in {built.key, *[built.squad_keys[robot] for robot in host.robots if robot in built.squad_keys]}:
+            await _send_key(session, key)
         if wheels:
             await session.call(
                 "packages", digest=wheels.venv, requirements=wheels.requirements, wheels=list(wheels.files)
@@ -397,9 +400,12 @@ async def _confirm(phases: Phases, name: str, late: Collection[Host]) -> None:
     )
 
 
-def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, show: Show) -> Deployed:
+def rollback(
+    hosts: Sequence[Host], options: Options, to: str | None, key: bytes | None, squad_keys: SquadKeys, show: Show
+) -> Deployed:
     """Roll all hosts back to the release `to`, else to the latest earlier release that all still have.
 
+    key, squad_keys: the release must have these keys; see Built.
     Raises Failed, Missed, NoHosts.
     """
 
@@ -412,8 +418,11 @@ def rollback(hosts: Sequence[Host], options: Options, to: str | None, key: bytes
             await session.call("verify", id=name, load=False)
             document = (await session.call("release", id=name))["release"]
             _refuse_robots(session.host, document)
-            if document["key"] != key_id(key):
-                message = f"release {name} has a different key from the given key"
+            wanted = {robot: key_id(squad_keys[robot]) for robot in session.host.robots if robot in squad_keys}
+            other = [robot for robot, own in wanted.items() if document["robots"][robot].get("key") != own]
+            if document["key"] != key_id(key) or other:
+                whose = f" of {', '.join(other)}" if other else ""
+                message = f"release {name} has a different key from the given key{whose}"
                 help = "a rotation copies the previous key to a file whose name ends in `.before`: name it with --key"
                 raise HostError(session.host, "key", message, help)
 

@@ -1,5 +1,8 @@
 """Emergency stop from outside: stop all robots of a fleet at once, and report each robot's answer.
 
+The robots of a squad, a robot that is a fleet itself, are called one by one, each with the key and the application_id
+of its own fleet file.
+
 Each robot gets stop requests every few milliseconds until it answers or the time is up. A damaged fleet file must not
 prevent the stop. Addresses are therefore taken from the part of the file that can be read, from the folders of the last
 build, and from the command line.
@@ -21,7 +24,7 @@ from typing import Any
 import yaml
 
 from koordgen.fleet.address import control_port, parse_address
-from koordgen.lang.node import Node
+from koordgen.lang.node import Node, replace
 from koordgen.runtime.net.seal import KEY_SIZE, BadKey, load_key
 from koordgen.runtime.ops.orders import NONCE, SHORT, Ask, Offer, StopAnswer, StopOrder, decode, encode
 
@@ -37,11 +40,15 @@ _SHORTEST, _EACH = 0.01, 0.0005
 
 
 class Place(Node):
-    """Address of a robot's control port. Port 0: the fleet file has no address for the robot."""
+    """Address of a robot's control port. Port 0: the fleet file has no address for the robot.
+
+    inner: for a squad, its robots, which have the addresses; None for an ordinary robot.
+    """
 
     name: str
     host: str
     port: int
+    inner: StoppableFleet | None = None
 
 
 class Called(Node):
@@ -74,7 +81,7 @@ class BadAddress(CannotStop):
 class StoppableFleet(Node):
     """Robots to be stopped, and the data that authenticate the stop.
 
-    places: control ports of the robots.
+    places: control ports of the robots, in the order of the fleet file.
     application: application_id of the fleet file.
     key: name of the key file; empty for a fleet without a key.
     folder: folder in which the key file is searched first.
@@ -86,28 +93,68 @@ class StoppableFleet(Node):
     folder: Path = Path()
 
 
+class Contact(Node):
+    """Control port of one physical robot, and the data that authenticate orders to it.
+
+    place: its name is SQUAD.ROBOT for a robot of a squad.
+    robot: name of the robot in its own fleet.
+    application, key: application_id and key of its own fleet; no key for a fleet without one.
+    trouble: reason why the robot cannot be called; empty if it can.
+    """
+
+    place: Place
+    robot: str
+    application: int
+    key: bytes | None
+    trouble: str = ""
+
+
+# Finds the robots of a squad, by its name and its fleet file as the outer fleet file spells it.
+FindInner = Callable[[str, str], "StoppableFleet | None"]
+
+
 def find_fleet(path: Path, warn: Callable[[str], None]) -> StoppableFleet:
     """Return the robots of a fleet file, or of a folder that `build` wrote. Raises CannotStop.
 
-    If the fleet file cannot be parsed, all addresses in its text and all robots of the last build are returned.
+    If the fleet file cannot be parsed, all addresses in its text and all robots of the last build are returned. The
+    same holds for the fleet file of a squad; a squad of which no robot is found causes a warning.
     """
     if path.is_dir():
         return _built(path, CannotStop(f"{path}: this folder contains no robot's folder with a settings.json"))
+
+    def inner(squad: str, file: str) -> StoppableFleet:
+        place = path.parent / file
+        try:
+            return _find_file(place, warn, _no_inner, squad)
+        except CannotStop as error:
+            warn(f"warning: {squad}: {error}; none of its robots is called")
+            return StoppableFleet((), 0, "", place.parent)
+
+    return _find_file(path, warn, inner, "")
+
+
+def _no_inner(squad: str, file: str) -> StoppableFleet | None:
+    """Find no robots: a fleet within a squad's fleet is not supported."""
+    return None
+
+
+def _find_file(path: Path, warn: Callable[[str], None], inner: FindInner, squad: str) -> StoppableFleet:
+    """Return the robots of a fleet file; see find_fleet. `squad`: the robot of which it is the fleet, or ""."""
     text = ""
     try:
         text = path.read_bytes().decode("utf-8", "replace")
-        fleet = read_fleet(text)
+        fleet = read_fleet(text, inner)
         return StoppableFleet(fleet.places, fleet.application, fleet.key, path.parent)
     except OSError as error:
         trouble = CannotStop(f"{path}: {error.strerror or error}")
     except CannotStop as error:
         trouble = CannotStop(f"{path}: {error}")
-    scanned = scan_fleet(text)
-    built = _last_build(path.parent)
+    scanned = scan_fleet(text, inner)
+    built = _last_build(path.parent, squad)
     if built is None and not scanned.places:
         raise trouble
-    known = {(place.host, place.port) for place in scanned.places}
-    more = tuple([p for p in built[1].places if (p.host, p.port) not in known]) if built else ()
+    known = {_identity(place) for place in scanned.places}
+    more = tuple([place for place in built[1].places if _identity(place) not in known]) if built else ()
     sources = ["the addresses in its text"] if scanned.places else []
     sources += [f"those of the last build, {built[0]}"] if built and more else []
     warn(f"warning: {trouble}; calling {' and '.join(sources)}")
@@ -116,7 +163,12 @@ def find_fleet(path: Path, warn: Callable[[str], None]) -> StoppableFleet:
     return StoppableFleet(more, built[1].application, built[1].key, path.parent)
 
 
-def read_fleet(text: str) -> StoppableFleet:
+def _identity(place: Place) -> tuple[str, int]:
+    """Return the address of a robot; the name of a squad."""
+    return (place.host, place.port) if place.inner is None else (place.name, 0)
+
+
+def read_fleet(text: str, inner: FindInner = _no_inner) -> StoppableFleet:
     """Return the entries of a fleet file that are needed to stop its robots. Raises CannotStop."""
     try:
         top = yaml.safe_load(text)
@@ -128,7 +180,7 @@ def read_fleet(text: str) -> StoppableFleet:
         raise CannotStop("the fleet file lists no robots")
     application, key = top.get("application_id"), top.get("key")
     return StoppableFleet(
-        tuple(_place(i, robot if isinstance(robot, dict) else {}) for i, robot in enumerate(robots)),
+        tuple([_place(i, robot if isinstance(robot, dict) else {}, inner) for i, robot in enumerate(robots)]),
         application if isinstance(application, int) and 0 <= application <= 65535 else 0,
         "" if top.get("insecure") is True else key if isinstance(key, str) else "fleet.key",
     )
@@ -136,24 +188,23 @@ def read_fleet(text: str) -> StoppableFleet:
 
 # Patterns for a damaged fleet file. A robot's entry may begin at a dash or at a brace; comments are removed first.
 _COMMENT = re.compile(r"(?m)(^|\s)#.*$")
-_ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\baddress\b)")
+_ENTRY = re.compile(r"(?m)^\s*-\s|\{(?=[^{}]*\b(?:address|inner)\b)")
 _VALUE = r"\b{}\s*:\s*['\"]?([^\s,'\"{{}}]+)"
 
 
-def scan_fleet(text: str) -> StoppableFleet:
-    """Return the robots whose addresses occur in a text that need not be valid YAML.
+def scan_fleet(text: str, inner: FindInner = _no_inner) -> StoppableFleet:
+    """Return the robots whose addresses, or fleet files, occur in a text that need not be valid YAML.
 
     The result is like that of `read_fleet`, but its `places` are empty if the text contains no address.
     """
     text = _COMMENT.sub("", text)
     places: list[Place] = []
     for part in _ENTRY.split(text):
-        entry = {key: value for key in ("name", "address", "control") for value in _values(part, key)}
-        if "address" in entry:
-            control = entry.get("control", "")
-            place = _place(len(places), {**entry, "control": int(control) if control.isdecimal() else None})
-            if place.port:
-                places.append(place)
+        entry = {key: value for key in ("name", "address", "control", "inner") for value in _values(part, key)}
+        control = entry.get("control", "")
+        place = _place(len(places), {**entry, "control": int(control) if control.isdecimal() else None}, inner)
+        if place.port or place.inner is not None:
+            places.append(place)
     application = next(_values(text, "application_id"), "0")
     insecure = next(_values(text, "insecure"), "") == "true"
     return StoppableFleet(
@@ -167,15 +218,21 @@ def _values(text: str, key: str) -> Iterator[str]:
     return (found[1] for found in re.finditer(_VALUE.format(key), text))
 
 
-def _last_build(folder: Path) -> tuple[Path, StoppableFleet] | None:
+def _last_build(folder: Path, squad: str) -> tuple[Path, StoppableFleet] | None:
     """Return the latest build in `build/`, beside the fleet file or in the working directory.
 
+    squad: only a build with the robots of this squad is returned, and of it only these robots; "" for all robots.
     Returns None if there is no build.
     """
     built = [each for place in {folder / "build", Path("build")} for each in _folders(place)]
     for application in sorted(built, key=lambda each: each.stat().st_mtime, reverse=True):
         with suppress(CannotStop):
-            return application, _built(application, CannotStop(""))
+            found = _built(application, CannotStop(""))
+            if not squad:
+                return application, found
+            for place in found.places:
+                if place.name == squad and place.inner is not None:
+                    return application, place.inner
     return None
 
 
@@ -190,41 +247,92 @@ def _built(folder: Path, nobody: CannotStop) -> StoppableFleet:
 
     Raises `nobody` if there is no robot.
     """
-    places, application, key = [], 0, ""
+    levels: dict[str, StoppableFleet] = {"": StoppableFleet((), 0, "", folder)}
     harness = [agent for each in _folders(folder) for agent in _folders(each / "agents")]
     for each in sorted([folder, *_folders(folder), *_folders(folder / "robots"), *harness]):
         with suppress(OSError, ValueError, TypeError, KeyError, IndexError):
             settings = json.loads((each / "settings.json").read_bytes())
             peer = settings["peers"][settings["pid"]]
-            places.append(Place(str(settings["robot"]), str(peer["host"]), int(settings["control"])))
-            application = int(settings["application_id"])
+            place = Place(str(settings["robot"]), str(peer["host"]), int(settings["control"]))
+            # the bundle of a squad's robot is called SQUAD.ROBOT
+            squad = each.resolve().name.removesuffix(place.name).rstrip(".") if (each / "outer.json").exists() else ""
+            if squad and squad not in levels:
+                levels[""] = replace(levels[""], places=(*levels[""].places, Place(squad, "", 0)))
+            places = levels[squad].places if squad in levels else ()
             key = "" if settings["insecure"] is True else str(settings["key_file"])
-    if not places:
+            levels[squad] = StoppableFleet((*places, place), int(settings["application_id"]), key, folder)
+    if not levels[""].places:
         raise nobody
-    return StoppableFleet(tuple(places), application, key, folder)
+    outer = [replace(p, inner=levels.get(p.name)) if p.port == 0 else p for p in levels[""].places]
+    return replace(levels[""], places=tuple(outer))
 
 
-def _place(pid: int, robot: dict[str, Any]) -> Place:
+def _place(pid: int, robot: dict[str, Any], inner: FindInner = _no_inner) -> Place:
+    name = str(robot.get("name", f"robot {pid}"))
+    if isinstance(file := robot.get("inner"), str):
+        return Place(name, "", 0, inner(name, file))
     host, port = parse_address(str(robot.get("address", "")))
     control = robot.get("control")
     if port:
         port = control if isinstance(control, int) and 0 < control <= 65535 else control_port(port)
-    return Place(str(robot.get("name", f"robot {pid}")), host, port)
+    return Place(name, host, port)
 
 
-def find_key(
+def contacts_of(
     fleet: StoppableFleet, path: str | None, key_path: str | None, warn: Callable[[str], None]
+) -> tuple[Contact, ...]:
+    """Return all physical robots of a fleet, with the keys of their fleets: its own robots, and those of its squads.
+
+    path: the fleet file. key_path: key file in place of that of the fleet file; squads use it only if the key file
+    that their own fleet file names does not exist.
+    Raises CannotStop if no key can be read. If only some can be read, the other robots get a `trouble`.
+    """
+    squads = {place.name: place.inner for place in fleet.places if place.inner is not None}
+    own = [place for place in fleet.places if place.inner is None]
+    levels = {"": replace(fleet, places=tuple(own))} if own or not squads else {}
+    keys: dict[str, bytes | None] = {}
+    failed: dict[str, CannotStop] = {}
+    for squad, level in {**levels, **squads}.items():
+        try:
+            keys[squad] = _find_key(level, path, key_path, squad != "", warn)
+        except CannotStop as error:
+            failed[squad] = error
+    if failed and not keys:
+        raise next(iter(failed.values()))
+    for squad, why in failed.items():
+        warn(f"warning: {why}; {f'the robots of {squad}' if squad else 'robots that are no squads'} are not called")
+
+    def contact(place: Place, level: StoppableFleet, squad: str) -> Contact:
+        named = replace(place, name=f"{squad}.{place.name}") if squad else place
+        trouble = f"no key: {failed[squad]}" if squad in failed else ""
+        return Contact(named, place.name, level.application, keys.get(squad), trouble)
+
+    found: list[Contact] = []
+    for place in fleet.places:
+        if place.inner is None:
+            found.append(contact(place, fleet, ""))
+        elif place.inner.places:
+            found += [contact(each, place.inner, place.name) for each in place.inner.places]
+        else:
+            found.append(Contact(place, place.name, 0, None, "the robots of its fleet are not known"))
+    return tuple(found)
+
+
+def _find_key(
+    fleet: StoppableFleet, path: str | None, key_path: str | None, is_squad: bool, warn: Callable[[str], None]
 ) -> bytes | None:
     """Return the fleet's key; None for a fleet without a key. Raises CannotStop.
 
     The key is read from `key_path`, else from the fleet's folder, else from the folder of the fleet file `path`, else
-    from the working directory.
+    from the working directory. For a squad, `key_path` comes last.
     """
-    if not key_path and not fleet.key:
+    if not fleet.key and (is_squad or not key_path):
         return None
-    beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path())]
-    usual = next((place for place in beside if place.exists()), Path(fleet.key))
-    return read_key(Path(key_path) if key_path else usual, warn)
+    beside = [folder / fleet.key for folder in (fleet.folder, Path(path).parent if path else Path(), Path())]
+    there = next((place for place in beside if place.exists()), None)
+    if there is not None and (is_squad or not key_path):
+        return read_key(there, warn)
+    return read_key(Path(key_path or fleet.key), warn)
 
 
 def read_key(path: Path, warn: Callable[[str], None]) -> bytes:
@@ -282,7 +390,7 @@ def stop_fleet(
 
     path: fleet file, or a folder that `build` wrote. `path` or `by_hand` must be given.
     by_hand: addresses HOST:PORT, as in the fleet file.
-    application: overrides the application_id of the fleet file.
+    application: overrides the application_id of the fleet file, but not that of squads.
     """
     places = tuple([_place(0, {"name": address, "address": address}) for address in by_hand])
     if wrong := [place.name for place in places if not place.port]:
@@ -295,10 +403,15 @@ def stop_fleet(
             if not places:
                 raise
             warn(f"warning: {error}; only the robots at the addresses of --address are called")
+    inner = {(each.host, each.port) for place in fleet.places if place.inner for each in place.inner.places}
+    places = tuple([place for place in places if (place.host, place.port) not in inner])
     known = {(place.host, place.port) for place in places}
-    places += tuple([place for place in fleet.places if (place.host, place.port) not in known])
-    key = find_key(fleet, path, key_path, warn)
-    return stop_all(places, fleet.application if application is None else application, key, ANSWER_TIMEOUT)
+    places += tuple([place for place in fleet.places if place.inner or (place.host, place.port) not in known])
+    contacts = contacts_of(replace(fleet, places=places), path, key_path, warn)
+    if application is not None:
+        own = {place.name for place in places}
+        contacts = tuple([replace(c, application=application) if c.place.name in own else c for c in contacts])
+    return stop_all(contacts, ANSWER_TIMEOUT)
 
 
 def show(results: list[Called], form: str) -> str:
@@ -327,14 +440,16 @@ def _result_text(result: Called) -> str:
     return f"{did}, answered after {result.after * 1e3:.0f} ms" + (f"; {result.note}" if result.note else "")
 
 
-def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, timeout: float) -> list[Called]:
+def stop_all(fleet: Sequence[Contact], timeout: float) -> list[Called]:
     """Stop all robots in parallel, one thread each, so that a slow name lookup delays no other robot."""
-    results = [Called(place, "", 0.0, NO_ANSWER) for place in fleet]
+    results = [Called(contact.place, "", 0.0, NO_ANSWER) for contact in fleet]
     every = max(_SHORTEST, _EACH * len(fleet))
     began = time.monotonic()
 
     def call(index: int) -> None:
-        results[index] = _stop(fleet[index], Stopping(application, key, os.urandom(NONCE)), every, began, timeout)
+        called = fleet[index]
+        stopping = Stopping(called.application, called.key, os.urandom(NONCE))
+        results[index] = _stop(called, stopping, every, began, timeout)
 
     threads = [threading.Thread(target=call, args=(i,), daemon=True) for i in range(len(fleet))]
     for thread in threads:
@@ -344,7 +459,10 @@ def stop_all(fleet: Sequence[Place], application: int, key: bytes | None, timeou
     return results
 
 
-def _stop(place: Place, stopping: Stopping, every: float, began: float, timeout: float) -> Called:
+def _stop(called: Contact, stopping: Stopping, every: float, began: float, timeout: float) -> Called:
+    place = called.place
+    if called.trouble:
+        return Called(place, "", 0.0, f"{NO_ANSWER}: {called.trouble}")
     if not place.port:
         return Called(place, "", 0.0, "the fleet file has no address for the robot")
     try:
@@ -370,7 +488,7 @@ def _stop(place: Place, stopping: Stopping, every: float, began: float, timeout:
     after = time.monotonic() - began
     if not stopping.phase:
         return Called(place, "", after, note)
-    odd = f"it says that it is {stopping.robot}" if stopping.robot not in ("", place.name) else ""
+    odd = f"it says that it is {stopping.robot}" if stopping.robot not in ("", called.robot) else ""
     return Called(place, stopping.phase, after, odd)
 
 

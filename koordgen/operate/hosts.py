@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koordgen.fleet.deployment import DeploymentSettings, Login
-from koordgen.fleet.file import Fleet
 from koordgen.lang.node import Node
+from koordgen.operate.physical import PhysicalRobot
 
 if TYPE_CHECKING:
     import asyncssh
@@ -104,21 +104,19 @@ class Answer(dict[str, Any]):
     data: bytes = b""
 
 
-def hosts_of(fleet: Fleet, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
-    """Return the hosts of the fleet's robots, or of `robots` only, in the order of the fleet file.
+def hosts_of(robots: Sequence[PhysicalRobot], place: DeploymentSettings) -> tuple[Host, ...]:
+    """Return the hosts of robots, in the order of the robots. `place`: of the (outer) fleet file.
 
     Raises NoHosts when the fleet file names no host for one of them.
     """
-    asked = [robot for robot in fleet.robots if robots is None or robot.name in robots]
-    without = [robot.name for robot in asked if robot.login is None]
+    without = [robot.name for robot in robots if robot.login is None]
     if without:
         help = "add `host: USER@NAME` to each of them, for example `host: pi@alice.local`"
         raise NoHosts(f"the fleet file names no host for {', '.join(without)}", help)
     by_login: dict[Login, list[str]] = {}
-    for robot in asked:
+    for robot in robots:
         if robot.login is not None:
             by_login.setdefault(robot.login, []).append(robot.name)
-    place: DeploymentSettings = fleet.deployment
     return tuple(Host(login, tuple(names), place.folder, place.python) for login, names in by_login.items())
 
 

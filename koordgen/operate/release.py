@@ -55,13 +55,18 @@ def digest_of(value: Any) -> str:
     return sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def robots_entry(bundle: Mapping[str, bytes], host: Host, venv: str) -> dict[str, str]:
-    """Return one robot's entry in release.json: digests and places that distinguish releases."""
+def robots_entry(bundle: Mapping[str, bytes], host: Host, venv: str, key: str | None) -> dict[str, str]:
+    """Return one robot's entry in release.json: digests and places that distinguish releases.
+
+    key: key id of the own fleet of a squad's robot, empty for a fleet without a key; None for an ordinary robot.
+    """
+    own = {} if key is None else {"key": key}
     return {
         "bundle": sha256(bundle[SUMS]).hexdigest(),
         "packages": sha256(bundle[REQUIREMENTS]).hexdigest(),
         "host": host.login.text,
         "venv": venv,
+        **own,
     }
 
 
@@ -77,6 +82,8 @@ def release_id(fleetwide: Fleetwide, robots: Mapping[str, Mapping[str, str]]) ->
         "application_id": fleetwide.application_id,
         "app": fleetwide.app,
     }
+    if squads := {name: robot["key"] for name, robot in robots.items() if "key" in robot}:
+        named["squad_keys"] = squads
     return digest_of(named)[:ID_DIGITS]
 
 

@@ -15,6 +15,7 @@ from koordgen.build.bundle.functions import functions_file
 from koordgen.build.bundle.plan import COMPOSITION, PARAMS, SOURCE, store_facts
 from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import Rejected, check_file
+from koordgen.build.squads import joined_hash
 from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
@@ -22,6 +23,7 @@ from koordgen.verify.audit.history import FleetMission, mission
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
+SQUAD = "squad"  # target of a robot that is a squad, in a trace; equal to that of simulated runs (tested)
 
 
 def flown(folder: Path) -> FleetMission:
@@ -32,17 +34,20 @@ def flown(folder: Path) -> FleetMission:
     return mission([read_trace_file(path) for path in trace_files(folder / ROBOTS)])
 
 
-def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str) -> dict[str, Any] | None:
+def write_source(
+    folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: str, outer: str = ""
+) -> dict[str, Any] | None:
     """Write the program with the hash `wanted` into a run folder's `source/`. Return its entries for a trace's header.
 
     Raises OSError.
 
     folder: the run folder. If its `source/` holds the wanted program already, nothing is written.
     programs: candidates, each as its files by path. Several applications are one candidate.
+    outer: for the fleet of a squad, the hash of the outer program; `wanted` is then the hash of both levels.
     Returns None if no candidate has the hash.
     """
     source, made = folder / SOURCE, folder / f".{SOURCE}"
-    if (facts := _fitting(source, wanted)) is not None:
+    if (facts := _fitting(source, wanted, outer)) is not None:
         return facts
     for files in programs:
         shutil.rmtree(made, ignore_errors=True)
@@ -51,7 +56,7 @@ def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: 
             path = made / name.removeprefix(f"{SOURCE}/")
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(data)
-        if (facts := _fitting(made, wanted)) is not None:
+        if (facts := _fitting(made, wanted, outer)) is not None:
             shutil.rmtree(source, ignore_errors=True)
             made.rename(source)
             return facts
@@ -59,10 +64,10 @@ def write_source(folder: Path, programs: Iterable[Mapping[str, bytes]], wanted: 
     return None
 
 
-def _fitting(source: Path, wanted: str) -> dict[str, Any] | None:
+def _fitting(source: Path, wanted: str, outer: str) -> dict[str, Any] | None:
     """Return what a trace says of the program in a folder `source/` if it has the hash `wanted`."""
     if (source / COMPOSITION).is_file():
-        return _composition(source / COMPOSITION, wanted)
+        return _composition(source / COMPOSITION, wanted, outer)
     programs = sorted(source.glob("*.koord"))
     if len(programs) != 1:
         return None
@@ -77,15 +82,17 @@ def _fitting(source: Path, wanted: str) -> dict[str, Any] | None:
     return store_facts(program) if its == wanted else None
 
 
-def _composition(path: Path, wanted: str) -> dict[str, Any] | None:
+def _composition(path: Path, wanted: str, outer: str) -> dict[str, Any] | None:
     """Return what a trace says of several applications if they have the hash `wanted`."""
     try:
         found = json.loads(path.read_bytes())
         names = [each["name"] for each in found["applications"]]
-        if found["program_hash"] != wanted:
+        own = str(found["program_hash"])
+        if (joined_hash(own, outer) if outer else own) != wanted:
             return None
         stored = {name: found[name] for name in ("shared", "records")}
-        return {**stored, "applications": names, "composition": found["applications"]}
+        facts = {**stored, "applications": names, "composition": found["applications"]}
+        return {**facts, "app": "+".join(names), "program_hash": own} if outer else facts
     except (ValueError, LookupError, TypeError):  # the file is damaged
         return None
 
@@ -124,7 +131,7 @@ def _header(whole: FleetMission, facts: Mapping[str, Any], fleet: Fleet, end: fl
         "program_hash": whole.log.program_hash,
         "delta": whole.delta,
         "seed": 0,
-        "robots": [{"name": robot.name, "pid": robot.pid, "target": robot.target} for robot in fleet.robots],
+        "robots": [{"name": robot.name, "pid": robot.pid, "target": robot.target or SQUAD} for robot in fleet.robots],
         "duration": end,
         "min_separation": max((each.get("min_separation", 0.0) for each in fleet.harness.values()), default=0.0),
         "geofence": [fleet.geofence["lo"], fleet.geofence["hi"]],

@@ -2,6 +2,8 @@
 
 The row of a robot that does not answer gives the reason. If its host is asked over SSH (koordgen/operate/installed.py),
 the row shows the host's answer. Nothing is changed on any robot.
+
+A squad, a robot that is a fleet itself, has a row above its robots: the one that hosts it reports its state.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from contextlib import suppress
 from typing import Any
 
 from koordgen.lang.node import Node, replace
-from koordgen.operate.estop import Place, StoppableFleet
+from koordgen.operate.estop import Contact, Place
 from koordgen.operate.installed import Installed
 from koordgen.runtime.ops.orders import LONG, NONCE
 from koordgen.runtime.ops.status import StatusRequest, applications_table
@@ -46,16 +48,58 @@ class StatusAnswer(Node):
     host: Installed | None = None
 
 
-def ask_all(fleet: StoppableFleet, key: bytes | None, timeout: float = ANSWER_TIMEOUT) -> list[StatusAnswer]:
-    """Ask all robots in parallel for at most `timeout` seconds.
+class SquadStatus(Node):
+    """State of a robot that is a fleet itself.
 
-    Return the answers in the order of the fleet file.
+    members: its robots, as SQUAD.ROBOT.
+    host: member that runs its agent; empty if no member reports that it does.
+    release: release that the host runs.
+    report: its state, as its host reports it: phase, round, pose, goal; None without a host.
     """
-    answers = [StatusAnswer(place, None, timeout, "no answer") for place in fleet.places]
+
+    name: str
+    members: tuple[str, ...]
+    host: str
+    release: str
+    report: Mapping[str, Any] | None
+
+    @property
+    def note(self) -> str:
+        """Return its host and its position as text."""
+        if self.report is None:
+            return "no robot of it reports that it hosts it"
+        pose = self.report.get("pose")
+        place = "unknown" if pose is None else ", ".join(f"{value:.2f}" for value in pose["position"])
+        return f"hosted by {self.host}; position (m): {place}"
+
+
+def squads_of(answers: Sequence[StatusAnswer]) -> dict[str, SquadStatus]:
+    """Return the state of each squad by its name."""
+    members: dict[str, list[StatusAnswer]] = {}
+    for each in answers:
+        if squad := each.place.name.rpartition(".")[0]:
+            members.setdefault(squad, []).append(each)
+    return {squad: _squad_status(squad, found) for squad, found in members.items()}
+
+
+def _squad_status(squad: str, members: Sequence[StatusAnswer]) -> SquadStatus:
+    names = tuple([each.place.name for each in members])
+    hosts = [each for each in members if each.report is not None and "phase" in each.report.get("outer", {})]
+    if not hosts:
+        return SquadStatus(squad, names, "", "", None)
+    # an earlier host that is cut off from the others may not know yet that it has been replaced
+    host = max(hosts, key=lambda each: each.report["outer"]["round"] if each.report else 0)
+    assert host.report is not None
+    return SquadStatus(squad, names, host.place.name, release_of(host), host.report["outer"])
+
+
+def ask_all(fleet: Sequence[Contact], timeout: float = ANSWER_TIMEOUT) -> list[StatusAnswer]:
+    """Ask all robots in parallel for at most `timeout` seconds. Return the answers in the order of the robots."""
+    answers = [StatusAnswer(contact.place, None, timeout, "no answer") for contact in fleet]
     began = time.monotonic()
 
     def ask(index: int) -> None:
-        answers[index] = ask_one(fleet.places[index], fleet.application, key, began, timeout)
+        answers[index] = ask_one(fleet[index], began, timeout)
 
     threads = [threading.Thread(target=ask, args=(i,), daemon=True) for i in range(len(answers))]
     for thread in threads:
@@ -65,18 +109,21 @@ def ask_all(fleet: StoppableFleet, key: bytes | None, timeout: float = ANSWER_TI
     return list(answers)
 
 
-def ask_one(place: Place, application: int, key: bytes | None, began: float, timeout: float) -> StatusAnswer:
+def ask_one(asked: Contact, began: float, timeout: float) -> StatusAnswer:
     """Ask one robot repeatedly until it answers, or `timeout` seconds have passed since `began`.
 
     `began` is a monotonic time.
     """
+    place = asked.place
+    if asked.trouble:
+        return StatusAnswer(place, None, 0.0, f"no answer: {asked.trouble}")
     if not place.port:
         return StatusAnswer(place, None, 0.0, "the fleet file has no address for the robot")
     try:
         family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
         return StatusAnswer(place, None, 0.0, f"no address: {error}")
-    asking, note = StatusRequest(application, key, os.urandom(NONCE)), "no answer"
+    asking, note = StatusRequest(asked.application, asked.key, os.urandom(NONCE)), "no answer"
     with socket.socket(family, socket.SOCK_DGRAM) as asker:
         with suppress(OSError):
             asker.connect(address)
@@ -97,7 +144,7 @@ def ask_one(place: Place, application: int, key: bytes | None, began: float, tim
     if asking.answer is None:
         return StatusAnswer(place, None, after, note)
     name = asking.answer.get("robot")
-    return StatusAnswer(place, asking.answer, after, "" if name == place.name else f"it says that it is {name}")
+    return StatusAnswer(place, asking.answer, after, "" if name == asked.robot else f"it says that it is {name}")
 
 
 def _listen(asker: socket.socket, asking: StatusRequest, until: float) -> None:
@@ -166,15 +213,32 @@ def to_json(answers: Sequence[StatusAnswer]) -> str:
         }
         for a in answers
     ]
-    return json.dumps({"robots": robots, "odd_releases": odd_releases(answers)}, indent=2)
+    found = {"robots": robots, "odd_releases": odd_releases(answers)}
+    if squads := squads_of(answers):
+        found["squads"] = [
+            {"robot": s.name, "members": s.members, "host": s.host or None, "report": s.report}
+            for s in squads.values()
+        ]  # fmt: skip
+    return json.dumps(found, indent=2)
 
 
 def table(answers: Sequence[StatusAnswer]) -> str:
     """Return a table with a line for each robot, and a last line for robots with a different release.
 
-    A second table shows the applications of the robots, if they have several.
+    Lines of a squad's robots follow the line of the squad. A second table shows the applications of the robots, if they
+    have several.
     """
-    rows = [_COLUMNS, *(_row(a) for a in answers)]
+    squads = squads_of(answers)
+    rows: list[tuple[str, ...]] = [_COLUMNS]
+    for answer in answers:
+        squad = squads.get(answer.place.name.rpartition(".")[0])
+        if squad is None:
+            rows.append(_row(answer))
+            continue
+        if squad.members[0] == answer.place.name:
+            rows.append(_squad_row(squad))
+        name, *others = _row(answer)
+        rows.append((f"  {name}", *others))
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
     lines = ["  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     of_robots = applications_table([(a.place.name, a.report) for a in answers if a.report is not None])
@@ -206,6 +270,13 @@ def _row(asked: StatusAnswer) -> tuple[str, ...]:
         _number(host.get("temperature"), "{:.0f} °C"),
         "; ".join([asked.note] * bool(asked.note) + violated),
     )
+
+
+def _squad_row(squad: SquadStatus) -> tuple[str, ...]:
+    report = squad.report or {}
+    known = (squad.release[:8] or "-", str(report.get("phase", "-")), str(report.get("round", "-")))
+    battery = _number(report.get("battery"), "{:.0%}")
+    return (squad.name, *known, "-", "-", "-", "-", battery, "-", "-", squad.note)
 
 
 def _silent_row(asked: StatusAnswer) -> tuple[str, ...]:

@@ -224,7 +224,7 @@ def test_mistakes_elsewhere_in_the_fleet_file_stop_no_stop(tmp_path: Path) -> No
         ("emil", "::1", 5),
     ]
     assert (fleet.application, fleet.key) == (9, "")
-    results = estop.stop_all(fleet.places[:2], 9, None, 0.1)
+    results = estop.stop_all([estop.Contact(place, place.name, 9, None) for place in fleet.places[:2]], 0.1)
     assert [r.note for r in results] == ["the fleet file has no address for the robot"] * 2
 
 
@@ -305,7 +305,8 @@ def test_a_host_that_nobody_knows_keeps_nobody_waiting(
     wait_for(bundles[:1], "joining")
     there = estop.read_fleet(fleet.read_text()).places[0]
     began = time.monotonic()
-    results = estop.stop_all([estop.Place("slow", "slow.local", 9), there], 0, bytes(range(32)), 0.5)
+    places = [estop.Place("slow", "slow.local", 9), there]
+    results = estop.stop_all([estop.Contact(place, place.name, 0, bytes(range(32))) for place in places], 0.5)
     assert time.monotonic() - began < 1.0
     assert [(r.phase, r.note) for r in results] == [("", "no answer"), ("stopping", "")]
 

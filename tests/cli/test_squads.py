@@ -51,7 +51,7 @@ def test_bundles_are_written_for_both_levels(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    "command", [["explore"], ["validate", "--reachsets"], ["deploy"]],
+    "command", [["explore"], ["validate", "--reachsets"]],
     ids=lambda command: command[0],
 )  # fmt: skip
 def test_other_commands_refuse_squads(
@@ -61,15 +61,6 @@ def test_other_commands_refuse_squads(
     name, *options = command
     assert main([name, str(GEOFENCE), "--fleet", str(fleet_files(tmp_path)), *options]) == 1
     assert "outer.yaml:6:26: error[F005]: alpha is a fleet itself, which this" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", ["start", "logs", "collect", "basestation"])
-def test_commands_for_fleets_at_work_refuse_squads(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    more = {"basestation": ["--system", "vicon", "--host", "h"], "collect": ["-o", str(tmp_path / "run")]}
-    assert main([command, str(fleet_files(tmp_path)), *more.get(command, [])]) == 1
-    assert "error[F005]: alpha is a fleet itself, which this command does not support" in capsys.readouterr().err
 
 
 def test_both_levels_are_proved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

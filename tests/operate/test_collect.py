@@ -160,7 +160,7 @@ def test_a_whole_fleet_is_collected_and_robots_that_are_missed_are_named(alice: 
         found = asyncio.run(collect_all(sessions, into, lambda count: None))
     assert {name: each.files for name, each in found.robots.items()} == {"bert": 1, "cleo": 2}
     assert set(found.missed) == {"alice", "dora"}
-    assert found.programs == [{"a.koord": letter.encode() * 16} for letter in "acb"]
+    assert found.programs == {"": [{"a.koord": letter.encode() * 16} for letter in "acb"]}
     (line,) = (tmp_path / "run/robots/cleo/log.txt").read_text().splitlines()
     assert float(line.split()[0]) == pytest.approx(900.0, abs=1.0)
 

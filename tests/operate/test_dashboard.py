@@ -24,7 +24,7 @@ from benchmarks.fixtures.fleet import KEY
 from koordgen.cli import main
 from koordgen.operate.dashboard import EVERY, WITHIN, Poller, built_facts
 from koordgen.operate.dashboard_access import AccessRefused, access, read_token
-from koordgen.operate.estop import find_fleet
+from koordgen.operate.estop import Contact, StoppableFleet, find_fleet
 from targets.sim.view.foxglove.stream import FoxgloveServer
 from targets.sim.view.web.dashboard import TICK, Dashboard, FleetServer, first_header
 from targets.sim.view.web.fleet_rows import FRESH
@@ -146,7 +146,7 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
     assert EVERY + WITHIN + TICK < 1.0, "seconds from a report until the next one is shown, at most"
     with StandIns(tmp_path, 20) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
-        poller = Poller(found, KEY, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
+        poller = Poller(contacts(found), lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
         board = Dashboard(first_header([(place.name, "") for place in found.places], {}), lambda: poller.odd)
         client = board.hub.join()
         assert client is not None
@@ -170,7 +170,7 @@ def test_what_is_shown_of_20_robots_is_never_more_than_a_question_old(tmp_path: 
 def test_the_same_goes_to_foxglove(tmp_path: Path) -> None:
     with StandIns(tmp_path, 2) as fleet:
         found = find_fleet(fleet.fleet, pytest.fail)
-        poller = Poller(found, KEY, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
+        poller = Poller(contacts(found), lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
         header = first_header([(place.name, "quad") for place in found.places], {})
         server = FoxgloveServer(header, 0)
         board = Dashboard(header, lambda: poller.odd, server)
@@ -190,6 +190,10 @@ def test_the_same_goes_to_foxglove(tmp_path: Path) -> None:
             assert abs(math.hypot(*(seen["/tf"]["translation"][axis] for axis in "xy")) - 4.0) < 0.01
         poller.close()
         board.close()
+
+
+def contacts(found: StoppableFleet) -> list[Contact]:
+    return [Contact(place, place.name, found.application, KEY) for place in found.places]
 
 
 def counted(stops: list[int]) -> list[dict[str, Any]]:

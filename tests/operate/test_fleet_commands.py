@@ -44,7 +44,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployed]:
     home = tmp_path_factory.mktemp("flight")
     flown = flight(home, Kept(home, PROGRAM, 20000))
     with deployed(tmp_path_factory.mktemp("fleet"), HOSTS) as running, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(building, "planned", lambda *_: (bundles(running), "line"))
+        patch.setattr(building, "planned", lambda *_, **__: (bundles(running), "line"))
         assert running.deploy() == 0
         for robot, host in HOSTS.items():
             shutil.copytree(

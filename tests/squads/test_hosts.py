@@ -37,6 +37,17 @@ def test_a_squad_takes_part_in_the_outer_fleet() -> None:
     assert levels.records[1, 20].event == "Update"
 
 
+def test_an_order_to_stop_in_the_outer_fleet_stops_the_inner_robots() -> None:
+    levels = Levels(LINE, [0, 3, 3])
+    levels.run_rounds(4)
+    levels.nodes[0].agent.stop_all("emergency stop")
+    assert levels.run(20.0, lambda: all(node.agent.phase == "stopped" for node in levels.nodes.values())), {
+        place: node.agent.phase for place, node in levels.nodes.items()
+    }
+    lines = [line for place in levels.places(1) for line in levels.nodes[place].lines]
+    assert any("error: bert: the outer robot stops safely" in line for line in lines)
+
+
 COUNT = """
 using Motion:
   sensors: Point position

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ import pytest
 
 from koordgen.build.bundle.write import write
 from koordgen.build.pipeline import plan_file
+from koordgen.cli import main
 from tests.build.squad_files import OUTER, fleet_files
 from tests.runtime.agent.test_process import started
 from tests.runtime.net.transports import free_ports
@@ -128,8 +130,8 @@ def survives(processes: Processes, kills: int, seed: int) -> None:
         assert values == sorted(set(values)), (squad, values)
 
 
-def test_an_outer_fleet_of_processes_survives_the_loss_of_a_host(
-    tmp_path: Path, started: list[subprocess.Popen[str]]
+def test_an_outer_fleet_of_processes_survives_the_loss_of_a_host_and_is_stopped(
+    tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:
     processes = Processes(tmp_path, started)
     until(lambda: len(processes.counts("alpha")) >= 3)
@@ -142,6 +144,11 @@ def test_an_outer_fleet_of_processes_survives_the_loss_of_a_host(
     found = processes.counts("alpha")
     values = [found[round_] for round_ in sorted(found)]
     assert values == sorted(set(values)) and processes.status("alpha.cyd")["outer"]["host"] != report["outer"]["host"]
+    shutil.rmtree(processes.folders.pop(host))
+    assert main(["estop", str(tmp_path / "bundles"), "--format", "json"]) == 0
+    stopped = {each["robot"] for each in json.loads(capsys.readouterr().out)["robots"]}
+    assert stopped == set(processes.folders), "the robots of all levels"
+    assert all(processes.processes[name].wait(timeout=60) == 0 for name in processes.folders)
 
 
 @pytest.mark.slow

@@ -309,6 +309,9 @@ def _agent(
         "main_agent.py", module=module, name=name, drivers=_drivers(these, robot.pid), properties=watched,
         applications=values["applications"], squad=squad,
     )  # fmt: skip
+    settings = settings_of(_app(system), fleet, robot, _planner_budget(these, robot.pid))
+    if squad:  # bundles of robots of several squads may lie in one folder, and the robots may have equal names
+        settings["state"] = f"state/{squad}"
     return {
         **these.common,
         **these.target_files[target.name],
@@ -316,7 +319,7 @@ def _agent(
         "__main__.py": main.encode(),
         "requirements.txt": requirements(fleet, target),
         "README.md": render("README_agent.md", **values).encode(),
-        "settings.json": as_json(settings_of(_app(system), fleet, robot, _planner_budget(these, robot.pid))),
+        "settings.json": as_json(settings),
     }
 
 

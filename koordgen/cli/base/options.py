@@ -251,11 +251,12 @@ def collect(command: Parser) -> None:
 
 def key(command: Parser) -> None:
     """Options of `koordgen key`."""
-    action = "`new` creates a key; `rotate` installs a new key on all robots of a deployed fleet, or on none"
-    command.positional.add_argument("action", choices=("new", "rotate"), help=action)
-    file = "new: the file of the key, which must not exist yet; rotate: the fleet file (YAML)"
+    action = "`new` creates a key; `rotate` installs a new key on all robots of a deployed fleet, or on none; `list` "
+    action += "shows the keys that each robot needs"
+    command.positional.add_argument("action", choices=("new", "rotate", "list"), help=action)
+    file = "new: the file of the key, which must not exist yet; rotate, list: the fleet file (YAML)"
     command.positional.add_argument("file", metavar="FILE", help=file)
-    _key(command.add_argument_group("rotate"))
+    _key(command.add_argument_group("rotate and list"))
     _ssh(command)
     _deployment_output(command)
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import sys
 from argparse import Namespace
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from koordgen.cli.base import console
 from koordgen.cli.base.terminal import ProgressLine
@@ -14,8 +17,11 @@ from koordgen.fleet.file import Fleet
 from koordgen.lang import resources
 from koordgen.operate.collect import CannotCollect, Collection, CollectionFolder, collect_all
 from koordgen.operate.hosts import HostError
+from koordgen.operate.physical import physical_robots
 from koordgen.operate.run_folder import ROBOTS, flown, write_source, write_trace
+from koordgen.operate.run_levels import flown_level, write_inner_source, write_outer_source
 from koordgen.runtime.trace.schema import BadTrace
+from koordgen.verify.audit.history import FleetMission
 
 
 def collect(options: Namespace) -> int:
@@ -27,7 +33,7 @@ def collect(options: Namespace) -> int:
     try:
         with CollectionFolder(folder) as into:
             found = _collected(options, fleet, into)
-            _show(fleet, found)
+            _show([robot.name for robot in physical_robots(fleet, options.fleet)], found)
             merged = _merged(folder, fleet, found)
     except CannotCollect as error:
         raise console.Failure(console.SURROUNDINGS, str(error), error.help) from None
@@ -35,7 +41,7 @@ def collect(options: Namespace) -> int:
         raise console.Failure(console.SURROUNDINGS, f"{error.filename or folder}: {error.strerror or error}") from None
     if found.missed:
         errors = [error for error in found.missed.values() if isinstance(error, HostError)]
-        names = [robot.name for robot in fleet.robots if robot.name in found.missed]
+        names = [robot.name for robot in physical_robots(fleet, options.fleet) if robot.name in found.missed]
         said = "\n".join(f"  {_why(name, found)}" for name in names)
         help = "run the same command again; it fetches only the missing files"
         raise console.Failure(status_of(errors), f"not all files of {', '.join(names)} were collected\n{said}", help)
@@ -57,39 +63,79 @@ def _collected(options: Namespace, fleet: Fleet, into: CollectionFolder) -> Coll
             line.show(f"{total / 1e6:.1f} MB")
 
     try:
-        return on_hosts(options, fleet, None, lambda opened: collect_all(opened, into, progress))
+        return on_hosts(
+            options, fleet, physical_robots(fleet, options.fleet), lambda opened: collect_all(opened, into, progress)
+        )
     finally:
         line.end()
 
 
-def _show(fleet: Fleet, found: Collection) -> None:
-    width = max(len(robot.name) for robot in fleet.robots)
-    for robot in fleet.robots:
-        if (each := found.robots.get(robot.name)) is not None:
+def _show(robots: Sequence[str], found: Collection) -> None:
+    width = max(map(len, robots))
+    for robot in robots:
+        if (each := found.robots.get(robot)) is not None:
             print(f"{each.robot:<{width}}  {each.files} files, {each.fetched / 1e6:.3f} MB fetched", flush=True)
 
 
 def _merged(folder: Path, fleet: Fleet, found: Collection) -> bool:
-    """Write the program and the merged trace; return False and print the reason if they cannot be merged."""
+    """Write the program and the merged trace; return False and print the reason if they cannot be merged.
+
+    A fleet with squads has programs and a merged trace for each level.
+    """
     sys.path.insert(0, str(resources.targets().parent))
-    apart = f"`koordgen audit {folder / ROBOTS} --program APP.koord` reads the robots' own traces"
+    if not fleet.squads:
+        apart = f"`koordgen audit {folder / ROBOTS} --program APP.koord` reads the robots' own traces"
+        programs = found.programs.get("", [])
+        return _merged_level(
+            folder, fleet, apart, lambda: flown(folder), lambda wanted: write_source(folder, programs, wanted)
+        ) is not None  # fmt: skip
+    apart = f"each robot's own trace is in {folder / ROBOTS}"
+    programs = [files for each in found.programs.values() for files in each]
+    outer = _merged_level(
+        folder, fleet, apart, lambda: flown_level(folder, fleet, ""),
+        lambda wanted: write_outer_source(folder, programs, wanted),
+    )  # fmt: skip
+    if outer is None:
+        return False
+    merged = [
+        _merged_level(
+            folder / squad, inner, apart, partial(flown_level, folder, inner, squad),
+            partial(write_inner_source, folder / squad, found.programs.get(squad, []), outer=outer),
+        )
+        for squad, inner in fleet.inner_fleets.items()
+    ]  # fmt: skip
+    return None not in merged
+
+
+def _merged_level(
+    folder: Path,
+    fleet: Fleet,
+    apart: str,
+    flown: Callable[[], FleetMission],
+    write_source: Callable[[str], dict[str, Any] | None],
+) -> str | None:
+    """Write the program and the merged trace of one fleet. Return the hash of its program.
+
+    Return None and print the reason if its traces cannot be merged. `apart`: what to do then.
+    """
     try:
-        whole = flown(folder)
-        facts = write_source(folder, found.programs, whole.log.program_hash)
+        whole = flown()
+        wanted = whole.log.program_hash
+        facts = write_source(wanted)
         if facts is None:
             console.notify(
                 "warning: the traces are not merged: no release on the robots has the program that wrote them, whose "
-                f"hash is {whole.log.program_hash}"
+                f"hash is {wanted}"
                 f"\n  help: {apart}"
             )
-            return False
+            return None
         write_trace(folder, whole, facts, fleet)
     except BadTrace as error:
         console.notify(f"warning: the traces cannot be merged: {error}\n  help: {apart}")
-        return False
+        return None
     for note in whole.notes:
         console.notify(f"note: {note}")
-    return True
+    return wanted
 
 
 def _why(name: str, found: Collection) -> str:

@@ -7,15 +7,26 @@ import os
 import sys
 import threading
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koordgen.cli.base import console
 from koordgen.lang import resources
-from koordgen.operate.dashboard import Facts, Poller, built_facts
+from koordgen.operate.dashboard import Facts, Poller, RowsOfLevels, built_facts
 from koordgen.operate.dashboard_access import AccessRefused, access
-from koordgen.operate.estop import ANSWER_TIMEOUT, CannotStop, StoppableFleet, find_fleet, find_key, show, stop_all
+from koordgen.operate.estop import (
+    ANSWER_TIMEOUT,
+    CannotStop,
+    Contact,
+    StoppableFleet,
+    contacts_of,
+    find_fleet,
+    show,
+    stop_all,
+)
+from koordgen.operate.physical import physical_robots
+from koordgen.operate.run_folder import SQUAD
 from koordgen.runtime.ops.host import pip_install
 
 if TYPE_CHECKING:
@@ -28,24 +39,25 @@ def dashboard(options: Namespace) -> int:
     try:
         allowed = access(options.bind, options.port, options.tls_cert, options.tls_key, options.token)
         found = find_fleet(Path(options.fleet), console.notify)
-        key = find_key(found, options.fleet, options.key, console.notify)
+        facts = _facts(found, options.fleet)
+        contacts = contacts_of(facts.fleet, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     except AccessRefused as error:
         raise console.Failure(console.USAGE if error.usage else console.SURROUNDINGS, str(error), error.help) from None
-    facts = _facts(found, options.fleet)
     sys.path.insert(0, str(resources.targets().parent))
     from targets.sim.view.web.dashboard import Dashboard, FleetServer, first_header
 
     targets = facts.plain.get("targets", {})
-    names = [(place.name, targets.get(place.name, "")) for place in facts.fleet.places]
+    rows = RowsOfLevels(contacts, lambda row, report, note: board.on_answer(row, report, note))
+    names = [(name, SQUAD if name in rows.squads else targets.get(name, "")) for name in rows.names]
     plain = {name: value for name, value in facts.plain.items() if name != "targets"}
-    poller = Poller(facts.fleet, key, lambda pid, asked: board.on_answer(pid, asked.report, asked.note))
+    poller = Poller(contacts, rows.on_answer)
     header = first_header(names, plain)
     board = Dashboard(
         header, lambda: poller.odd, None if options.foxglove is None else _stream(header, options.foxglove)
     )
-    stop = _stop(facts.fleet, key) if options.control else None
+    stop = _stop(contacts) if options.control else None
     try:
         server = FleetServer(allowed.host, options.port, board, stop, allowed.token, allowed.tls)
     except (OSError, OverflowError) as error:
@@ -93,23 +105,23 @@ def _facts(fleet: StoppableFleet, path: str) -> Facts:
     if Path(path).is_dir():
         return built_facts(fleet, Path(path))
     try:
-        read, _ = read_fleet(path, all_targets(), None)
+        read, _ = read_fleet(path, all_targets(), None, squads=True)
     except Rejected as error:
         reason = error.found[0][1].message if error.found else "it cannot be read"
         console.notify(f"warning: the map shows no obstacles: {path}: {reason}")
         return Facts(fleet, {})
     plain = {
         "delta": read.delta, "geofence": (read.geofence["lo"], read.geofence["hi"]), "obstacles": read.obstacles,
-        "world": read.world.facts, "targets": {robot.name: robot.target for robot in read.robots},
+        "world": read.world.facts, "targets": {robot.name: robot.entry.target for robot in physical_robots(read, path)},
     }  # fmt: skip
     return Facts(fleet, plain)
 
 
-def _stop(fleet: StoppableFleet, key: bytes | None) -> Callable[[], list[dict[str, Any]]]:
+def _stop(fleet: Sequence[Contact]) -> Callable[[], list[dict[str, Any]]]:
     """Return a function that stops the fleet and prints the result on this terminal."""
 
     def stop() -> list[dict[str, Any]]:
-        results = stop_all(fleet.places, fleet.application, key, ANSWER_TIMEOUT)
+        results = stop_all(fleet, ANSWER_TIMEOUT)
         console.notify(f"emergency stop from the dashboard\n{show(results, 'text')}")
         robots: list[dict[str, Any]] = json.loads(show(results, "json"))["robots"]
         return robots

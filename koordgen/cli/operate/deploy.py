@@ -6,7 +6,7 @@ import os
 import secrets
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from koordgen.cli.base import building, console
 from koordgen.cli.base.terminal import ProgressLine
 from koordgen.cli.operate import ssh
+from koordgen.operate.physical import PhysicalRobot, physical_robots
 
 if TYPE_CHECKING:
     from koordgen.fleet.file import Fleet
@@ -29,15 +30,15 @@ def deploy(options: Namespace) -> int:
 
     options.collected = []
     path = building.fleet_path(options)
-    bundles, app = building.planned(options, None)
+    bundles, app = building.planned(options, None, squads=True)
     options.fleet = path
     fleet = ssh.read_fleet(path)
-    hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
-    robots = {robot.name: bundles[robot.name] for robot in fleet.robots}
+    robots = physical_robots(fleet, path)
+    hosts, connecting = ssh.fleet_hosts(fleet, path, robots), ssh.connection(options)
     place = fleet.deployment
     built = deployment.Built(
-        robots, app, fleet.application_id, _key_bytes(fleet, options), place.service, place.wheels,
-        Path(options.fleet).parent,
+        {robot.name: bundles[robot.name] for robot in robots}, app, fleet.application_id, _key_bytes(fleet, options),
+        place.service, place.wheels, Path(path).parent, _squad_keys(robots),
     )  # fmt: skip
     return _run(options, lambda show: deployment.deploy(hosts, connecting, built, options.take_over, show))
 
@@ -48,13 +49,18 @@ def rollback(options: Namespace) -> int:
 
     options.collected = []
     fleet = ssh.read_fleet(options.fleet)
-    hosts, connecting = ssh.fleet_hosts(fleet, options.fleet), ssh.connection(options)
-    key = _key_bytes(fleet, options)
-    return _run(options, lambda show: deployment.rollback(hosts, connecting, options.to, key, show))
+    robots = physical_robots(fleet, options.fleet)
+    hosts, connecting = ssh.fleet_hosts(fleet, options.fleet, robots), ssh.connection(options)
+    key, squad_keys = _key_bytes(fleet, options), _squad_keys(robots)
+    return _run(options, lambda show: deployment.rollback(hosts, connecting, options.to, key, squad_keys, show))
 
 
 def key(options: Namespace) -> int:
-    """Make a key, or rotate the key of a fleet. Raises Failure."""
+    """Make a key, rotate the key of a fleet, or list the keys that its robots need. Raises Failure."""
+    if options.action == "list":
+        from koordgen.cli.operate.keys import list_keys
+
+        return list_keys(options)
     return _rotate(options) if options.action == "rotate" else _new_key(options)
 
 
@@ -82,7 +88,8 @@ def _rotate(options: Namespace) -> int:
         raise console.Failure(
             console.WRONG, f"{options.file}: the fleet has no key: it is insecure", "set `key` instead"
         )
-    hosts, connecting = ssh.fleet_hosts(fleet, options.file), ssh.connection(options)
+    robots = physical_robots(fleet, options.file)
+    hosts, connecting = ssh.fleet_hosts(fleet, options.file, robots), ssh.connection(options)
     options.fleet = options.file
     old = _key_file(fleet, options)
     before, waiting = _with(old, BEFORE), _with(old, NEXT)
@@ -154,6 +161,15 @@ def _key_file(fleet: Fleet, options: Namespace) -> Path:
 def _key_bytes(fleet: Fleet, options: Namespace) -> bytes | None:
     """Return the fleet's key; None for an insecure fleet. Raises Failure."""
     return _read_key(_key_file(fleet, options)) if fleet.key else None
+
+
+def _squad_keys(robots: Sequence[PhysicalRobot]) -> dict[str, bytes | None]:
+    """Return the key of each squad's robots, from beside their own fleet file, by their names. Raises Failure."""
+    found: dict[str, bytes | None] = {}
+    for robot in robots:
+        if robot.squad:
+            found[robot.name] = _read_key(robot.file.parent / robot.fleet.key) if robot.fleet.key else None
+    return found
 
 
 def _read_key(path: Path) -> bytes:

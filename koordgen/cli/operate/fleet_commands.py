@@ -10,14 +10,14 @@ from datetime import datetime
 from typing import TypeVar
 
 from koordgen.cli.base import console
-from koordgen.cli.base.parser import nearest
 from koordgen.cli.base.terminal import coloured_name
-from koordgen.cli.operate.ssh import connection, describe, fleet_hosts, read_fleet, status_of
+from koordgen.cli.operate.ssh import chosen_robots, connection, describe, fleet_hosts, read_fleet, status_of
 from koordgen.fleet.file import Fleet
 from koordgen.operate.examination import examine, table, to_json, worst
 from koordgen.operate.host_tool_archive import archive
 from koordgen.operate.hosts import HostError, Sessions, sessions
 from koordgen.operate.logs import Line, show_lines
+from koordgen.operate.physical import PhysicalRobot, physical_robots
 from koordgen.operate.services import Done, ServiceRefused
 from koordgen.operate.services import start as start_agents
 from koordgen.operate.services import stop as stop_agents
@@ -31,36 +31,38 @@ def start(options: Namespace) -> int:
     If hosts have different releases, no agent is started, and Failure is raised.
     """
     fleet = read_fleet(options.fleet)
+    robots = chosen_robots(fleet, options.fleet, options.robots)
     try:
-        done = on_hosts(options, fleet, _chosen(fleet, options.robots), start_agents)
+        done = on_hosts(options, fleet, robots, start_agents)
     except ServiceRefused as error:
         raise console.Failure(console.WRONG, str(error), error.help) from None
     except HostError as error:
         raise console.Failure(status_of([error]), str(error), _join(error.help, "nothing was started")) from None
     if done.robots:
-        print(f"started {_names(fleet, done.robots)}, release {done.release[:8]}", flush=True)
+        print(f"started {_names(robots, done.robots)}, release {done.release[:8]}", flush=True)
     if done.idle:
-        print(f"running already: {_names(fleet, done.idle)}", flush=True)
+        print(f"running already: {_names(robots, done.idle)}", flush=True)
     return _ended(done, f"`koordgen stop {options.fleet}` stops those that were started" if done.robots else "")
 
 
 def stop(options: Namespace) -> int:
     """Stop the agents of a fleet. Each agent first brings its robot to a safe stop."""
     fleet = read_fleet(options.fleet)
-    robots = _chosen(fleet, options.robots)
+    robots = chosen_robots(fleet, options.fleet, options.robots)
     done = on_hosts(options, fleet, robots, lambda opened: stop_agents(opened, options.seconds))
     if done.robots:
-        print(f"stopped {_names(fleet, done.robots)}", flush=True)
+        print(f"stopped {_names(robots, done.robots)}", flush=True)
     if done.idle:
-        print(f"no agent ran on: {_names(fleet, done.idle)}", flush=True)
+        print(f"no agent ran on: {_names(robots, done.idle)}", flush=True)
     return _ended(done, f"in an emergency: `koordgen estop {options.fleet}`")
 
 
 def logs(options: Namespace) -> int:
     """Show the log lines of all robots of a fleet, ordered by time."""
     fleet = read_fleet(options.fleet)
+    robots = chosen_robots(fleet, options.fleet, options.robots)
     lost: list[HostError] = []
-    index = {robot.name: robot.pid for robot in fleet.robots}
+    index = {robot.name: place for place, robot in enumerate(physical_robots(fleet, options.fleet))}
     width = max(map(len, index))
 
     def show(line: Line) -> None:
@@ -72,7 +74,6 @@ def logs(options: Namespace) -> int:
         lost.append(error)
         console.notify(f"warning: {describe([error])}")
 
-    robots = _chosen(fleet, options.robots)
     on_hosts(options, fleet, robots, lambda opened: show_lines(opened, options.lines, options.follow, show, note))
     if lost:
         names = ", ".join(robot for error in lost for robot in error.host.robots)
@@ -83,16 +84,20 @@ def logs(options: Namespace) -> int:
 def doctor(options: Namespace) -> int:
     """Run `doctor` on every robot and print the results; return the greatest exit status."""
     fleet = read_fleet(options.fleet)
-    order = {robot.name: robot.pid for robot in fleet.robots}
-    examined = sorted(on_hosts(options, fleet, None, examine), key=lambda each: order[each.robot])
+    robots = physical_robots(fleet, options.fleet)
+    order = [robot.name for robot in robots]
+    examined = sorted(on_hosts(options, fleet, robots, examine), key=lambda each: order.index(each.robot))
     print(to_json(examined) if options.format == "json" else table(examined), flush=True)
     return worst(examined)
 
 
 def on_hosts(
-    options: Namespace, fleet: Fleet, robots: Sequence[str] | None, work: Callable[[Sessions], Awaitable[Result]]
+    options: Namespace,
+    fleet: Fleet,
+    robots: Sequence[PhysicalRobot],
+    work: Callable[[Sessions], Awaitable[Result]],
 ) -> Result:
-    """Run `work` with sessions on the hosts of `robots`, or of all robots. Raises Failure."""
+    """Run `work` with sessions on the hosts of `robots`. Raises Failure."""
     hosts, how = fleet_hosts(fleet, options.fleet, robots), connection(options)
 
     async def run() -> Result:
@@ -102,27 +107,14 @@ def on_hosts(
     return asyncio.run(run())
 
 
-def _chosen(fleet: Fleet, robots: Sequence[str]) -> Sequence[str] | None:
-    """Return the robots that the command line names, or None for all robots.
-
-    Raises Failure for an unknown name.
-    """
-    known = [robot.name for robot in fleet.robots]
-    if strange := [name for name in robots if name not in known]:
-        near = nearest(strange[0], known)
-        help = (f"did you mean {near}? " if near else "") + f"the robots are {', '.join(known)}"
-        raise console.Failure(console.USAGE, f"the fleet file has no robot {strange[0]!r}", help)
-    return robots or None
-
-
 def _ended(done: Done, help: str) -> int:
     if done.failed:
         raise console.Failure(status_of(done.failed), describe(done.failed), help)
     return console.HOLDS
 
 
-def _names(fleet: Fleet, robots: Sequence[str]) -> str:
-    return ", ".join(robot.name for robot in fleet.robots if robot.name in robots)
+def _names(among: Sequence[PhysicalRobot], robots: Sequence[str]) -> str:
+    return ", ".join(robot.name for robot in among if robot.name in robots)
 
 
 def _join(*parts: str) -> str:

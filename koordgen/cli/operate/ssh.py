@@ -8,25 +8,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.cli.base import console
+from koordgen.cli.base.parser import nearest
 
 if TYPE_CHECKING:
     from koordgen.fleet.file import Fleet
     from koordgen.operate.hosts import Host, HostError, Options
+    from koordgen.operate.physical import PhysicalRobot
 
 # codes of HostError for hosts that were not reached
 UNREACHABLE = ("unreachable", "unknown key", "changed key", "refused key", "settings", "link")
 
 
 def read_fleet(path: str) -> Fleet:
-    """Read a fleet file without its program. Raises Rejected."""
+    """Read a fleet file without its program; the fleet files of its squads, too. Raises Rejected."""
     from koordgen.build import pipeline
     from koordgen.fleet import manifest
 
-    return pipeline.read_fleet(path, {name: manifest.load(name) for name in manifest.available()}, None)[0]
+    return pipeline.read_fleet(path, {name: manifest.load(name) for name in manifest.available()}, None, squads=True)[0]
 
 
-def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) -> tuple[Host, ...]:
-    """Return the hosts of a fleet's robots, or of `robots` only.
+def chosen_robots(fleet: Fleet, path: str, names: Sequence[str]) -> tuple[PhysicalRobot, ...]:
+    """Return the robots that a command line names, or all robots without a name. Raises Failure for an unknown name."""
+    from koordgen.operate.physical import UnknownRobot, named_robots, physical_robots
+
+    try:
+        return named_robots(physical_robots(fleet, path), names)
+    except UnknownRobot as error:
+        near = nearest(error.name, error.known)
+        help = (f"did you mean {near}? " if near else "") + f"the robots are {', '.join(error.known)}"
+        raise console.Failure(console.USAGE, str(error), help) from None
+
+
+def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[PhysicalRobot]) -> tuple[Host, ...]:
+    """Return the hosts of robots of a fleet.
 
     Raises Failure if the fleet file names no host for a robot, or asyncssh is missing.
     """
@@ -34,7 +48,7 @@ def fleet_hosts(fleet: Fleet, path: str, robots: Sequence[str] | None = None) ->
 
     try:
         require_asyncssh()
-        return hosts_of(fleet, robots)
+        return hosts_of(robots, fleet.deployment)
     except NoHosts as error:
         if error.is_file_wrong:
             raise console.Failure(console.WRONG, f"{path}: {error}", error.help) from None

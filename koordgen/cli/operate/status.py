@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from koordgen.cli.base import console
-from koordgen.operate.estop import CannotStop, find_fleet, find_key
+from koordgen.operate.estop import CannotStop, contacts_of, find_fleet
 from koordgen.operate.status import StatusAnswer, ask_all, odd_releases, table, to_json, with_hosts
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ def status(options: Namespace) -> int:
     """
     try:
         fleet = find_fleet(Path(options.fleet), console.notify)
-        key = find_key(fleet, options.fleet, options.key, console.notify)
+        contacts = contacts_of(fleet, options.fleet, options.key, console.notify)
     except CannotStop as error:
         raise console.Failure(console.WRONG, str(error), f"{error.help}nobody was asked") from None
     while True:
         began = time.monotonic()
-        answers = _ask_hosts(options, ask_all(fleet, key))
+        answers = _ask_hosts(options, ask_all(contacts))
         if options.watch and options.format == "text" and sys.stdout.isatty():
             print("\x1b[H\x1b[2J", end="")  # cursor home, then clear the screen
         print(to_json(answers) if options.format == "json" else table(answers), flush=True)
@@ -77,6 +77,7 @@ def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
     from koordgen.build.pipeline import Rejected
     from koordgen.cli.operate.ssh import read_fleet
     from koordgen.operate.hosts import hosts_of
+    from koordgen.operate.physical import physical_robots
 
     if Path(options.fleet).is_dir():
         return ()
@@ -84,8 +85,8 @@ def _hosts_of(options: Namespace, robots: Sequence[str]) -> Sequence[Host]:
         fleet = read_fleet(options.fleet)
     except Rejected:
         return ()
-    named = [robot.name for robot in fleet.robots if robot.login is not None and robot.name in robots]
-    return hosts_of(fleet, named)
+    known = physical_robots(fleet, options.fleet)
+    return hosts_of([r for r in known if r.login is not None and r.name in robots], fleet.deployment)
 
 
 def _verdict(options: Namespace, answers: Sequence[StatusAnswer]) -> int:

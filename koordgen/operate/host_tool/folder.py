@@ -17,7 +17,9 @@ RESERVE = 64 * 1024 * 1024  # number of bytes that a deployment leaves free on t
 SMALL = 1024 * 1024  # free bytes that a request for small files needs
 PIECE = 1024 * 1024  # number of bytes that are read in one call
 
-_ROBOT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
+_NAME = r"[a-z][a-z0-9_-]{0,31}"
+_ROBOT = re.compile(rf"{_NAME}(?:\.{_NAME})?")  # a robot of a squad is called SQUAD.ROBOT
+OUTER = "outer"  # of a robot of a squad: name of the settings, and of the folder of traces, of the outer robot
 _RELEASE = re.compile(r"[0-9a-f]{16}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _DIGEST = re.compile(r"[0-9a-f]{16,64}")
@@ -79,10 +81,21 @@ class Folder:
         return self.objects / checked_sha256(digest)
 
     def overlay(self, release: str, robot: str) -> Path:
-        return self.settings / checked_release(release) / f"{checked_robot(robot)}.json"
+        """Return the file of settings that override those of a robot's bundle.
 
-    def trace_folder(self, robot: str) -> Path:
-        return self.traces / checked_robot(robot)
+        A robot of a squad has a folder of its own, because its bundle has two files of settings.
+        """
+        name = checked_robot(robot)
+        return self.settings / checked_release(release) / (f"{name}/settings.json" if "." in name else f"{name}.json")
+
+    def state_of(self, robot: str) -> Path:
+        """Return the folder with the checkpoint of a robot. Robots of different squads may have equal names."""
+        return self.state.joinpath(*checked_robot(robot).split(".")[:-1])
+
+    def trace_folder(self, robot: str, is_outer: bool = False) -> Path:
+        """Return the folder of a robot's traces, or of those of the squad that it hosted (`is_outer`)."""
+        place = self.traces / checked_robot(robot)
+        return place / OUTER if is_outer else place
 
     def log(self, robot: str) -> Path:
         return self.logs / f"{checked_robot(robot)}.log"

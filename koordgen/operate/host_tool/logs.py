@@ -93,9 +93,12 @@ def selected(lines: Iterable[Line], most: int, since: float | None) -> dict[str,
     return {"lines": [list(line) for line in found], "next": found[-1][0] if found else since or 0.0}
 
 
-def traces(folder: Folder, robot: Any) -> list[dict[str, Any]]:
-    """Return the name, the size in bytes and the Unix time of the last change of a robot's trace files."""
-    place, listed = folder.trace_folder(robot), []
+def traces(folder: Folder, robot: Any, is_outer: bool) -> list[dict[str, Any]]:
+    """Return the name, the size in bytes and the Unix time of the last change of a robot's trace files.
+
+    is_outer: list the traces of the squad to which the robot belongs, which it wrote while it hosted the squad.
+    """
+    place, listed = folder.trace_folder(robot, is_outer), []
     for path in sorted(place.iterdir()) if place.is_dir() else []:
         with suppress(OSError):
             state = path.lstat()
@@ -116,12 +119,12 @@ class Fetching:
         self._next: tuple[Path, int] | None = None
         self._file = -1
 
-    def fetch(self, robot: Any, name: Any, offset: int, length: int) -> bytes:
-        """Return up to `length` bytes of a robot's trace file, from `offset` on.
+    def fetch(self, robot: Any, is_outer: bool, name: Any, offset: int, length: int) -> bytes:
+        """Return up to `length` bytes of a robot's trace file, from `offset` on. `is_outer`: see `traces`.
 
         The file is opened again unless the request continues the previous request.
         """
-        place = self._folder.trace_folder(robot)
+        place = self._folder.trace_folder(robot, is_outer)
         path = place / checked_path(name)
         if path.parent != place or offset < 0 or length < 0:
             raise ToolError("bad request", f"{name!r}, byte {offset}: this is not in a file that `traces` lists")

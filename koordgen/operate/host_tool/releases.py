@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from . import objects, packages
 from .folder import (
+    OUTER,
     Folder,
     ToolError,
     checked_path,
@@ -49,6 +50,7 @@ class Release(NamedTuple):
     venv: digest of the virtual environment; empty if the packages of `python` are used.
     python: command of the interpreter.
     service: "systemd" or "none".
+    squad_keys: key ids of the own fleets of the robots of squads, by robot.
     """
 
     id: str
@@ -57,6 +59,12 @@ class Release(NamedTuple):
     venv: str
     python: str
     service: str
+    squad_keys: Mapping[str, str]
+
+    @property
+    def keys(self) -> set[str]:
+        """Return the ids of all keys that the release needs on this host."""
+        return {self.key, *self.squad_keys.values()} - {""}
 
 
 def read_release(folder: Folder, release: str, candidate: bool = False) -> Release:
@@ -128,12 +136,20 @@ def parse_release(folder: Folder, document: Any) -> Release:
         texts["venv"],
         texts["python"] or "python3",
         texts["service"],
+        _squad_keys(document["robots"]),
     )
-    if release.key:
-        folder.key(release.key)
+    for key in release.keys:
+        folder.key(key)
     if release.venv:
         folder.venv(release.venv)
     return release
+
+
+def _squad_keys(robots: Mapping[str, Any]) -> dict[str, str]:
+    found = {name: entry["key"] for name, entry in robots.items() if isinstance(entry, dict) and "key" in entry}
+    if not all(isinstance(key, str) for key in found.values()):
+        raise ToolError("bad request", "the `key` of a robot must be a string")
+    return found
 
 
 def interpreter(folder: Folder, release: Release) -> str:
@@ -293,16 +309,26 @@ def _write_overlays(folder: Folder, release: Release, place: Path) -> None:
     The settings place traces, the state and the key outside of the release, because a release never changes.
     """
     for robot in release.robots:
-        path = folder.overlay(release.id, robot)
-        make_folder(path.parent)
-        make_folder(folder.trace_folder(robot))
-        overlay = {"state": str(folder.state), "trace": str(folder.trace_folder(robot) / "trace.jsonl")}
-        if release.key:
-            overlay["key_file"] = str(folder.key(release.key))
-        elif not (read_json(place / robot / "settings.json") or {}).get("insecure", True):
-            raise ToolError("no key", f"robot {robot}: its settings require a key, but the release has no key")
-        if read_json(path) != overlay:
-            write_json(path, overlay)
+        path, bundle, trace = folder.overlay(release.id, robot), place / robot, "trace.jsonl"
+        own = {"state": str(folder.state_of(robot)), "trace": str(folder.trace_folder(robot) / trace)}
+        key = release.squad_keys.get(robot, release.key)
+        _write_overlay(folder, path, own, key, bundle / "settings.json")
+        if (bundle / f"{OUTER}.json").exists():
+            outer = {"trace": str(folder.trace_folder(robot, True) / trace)}
+            _write_overlay(folder, path.with_name(f"{OUTER}.json"), outer, release.key, bundle / f"{OUTER}.json")
+
+
+def _write_overlay(folder: Folder, path: Path, overlay: dict[str, str], key: str, settings: Path) -> None:
+    """Write settings that override those in the file `settings` of a bundle. `key`: key id; empty without a key."""
+    make_folder(path.parent)
+    make_folder(Path(overlay["trace"]).parent)
+    if key:
+        overlay = {**overlay, "key_file": str(folder.key(key))}
+    elif not (read_json(settings) or {}).get("insecure", True):
+        robot = settings.parent.name
+        raise ToolError("no key", f"robot {robot}: its settings require a key, but the release has no key")
+    if read_json(path) != overlay:
+        write_json(path, overlay)
 
 
 def verify(folder: Folder, release_id: str, load: bool = True) -> int:
@@ -320,8 +346,8 @@ def verify(folder: Folder, release_id: str, load: bool = True) -> int:
         if wrong or not files:
             raise ToolError("damaged", f"robot {robot}: {', '.join(wrong[:3]) or 'no file'}: missing or changed")
         count += len(files)
-    if release.key:
-        check_key(folder, release.key)
+    for key in release.keys:
+        check_key(folder, key)
     if load:
         with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
             list(pool.map(lambda robot: _check_loads(folder, release, robot), release.robots))
@@ -386,7 +412,7 @@ def prune(folder: Folder, keep: Sequence[str]) -> None:
                 remove_tree(folder.pycache / str(path).lstrip("/"))
     here = [release for release in keep if folder.release(release).is_dir()]
     kept = [read_release(folder, release, candidate=c) for release in here for c in (False, True)]
-    _prune_files(folder.keys, {f"{release.key}.key" for release in kept})
+    _prune_files(folder.keys, {f"{key}.key" for release in kept for key in release.keys})
     _prune_files(folder.venvs, {release.venv for release in kept})
     _prune_files(folder.wheels, {w for r in kept if r.venv for w in packages.wheels_of(folder.venv(r.venv))})
     objects.prune(folder)

@@ -280,12 +280,12 @@ def _logs(session: Session, request: Request) -> Answer:
 
 
 def _traces(session: Session, request: Request) -> Answer:
-    return {"files": logs.traces(session.folder, request["robot"])}
+    return {"files": logs.traces(session.folder, request["robot"], bool(request.get("outer")))}
 
 
 def _fetch(session: Session, request: Request) -> Answer:
     offset, length = int(request["offset"]), int(request["length"])
-    data = session.fetching.fetch(request["robot"], request["file"], offset, length)
+    data = session.fetching.fetch(request["robot"], bool(request.get("outer")), request["file"], offset, length)
     return {"length": len(data), "data": data}
 
 

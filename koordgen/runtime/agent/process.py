@@ -42,7 +42,7 @@ from koordgen.runtime.net.seal import BadKey
 from koordgen.runtime.net.transport import CannotOpen
 from koordgen.runtime.ops.checks import print_briefly, print_checks
 from koordgen.runtime.ops.control import Control
-from koordgen.runtime.ops.doctor import PlatformType, examine
+from koordgen.runtime.ops.doctor import OuterRobot, PlatformType, examine
 from koordgen.runtime.ops.host import temperature
 from koordgen.runtime.ops.journal import Emit
 from koordgen.runtime.ops.notify import Notifier
@@ -93,7 +93,9 @@ def main(
         return _compile()
     try:
         if arguments.check or arguments.doctor:
-            with closing(examine(program, root, arguments.settings, arguments.pid, platform_type, drivers)) as results:
+            outer = None if squad is None else _outer(squad, root, arguments.settings)
+            found = examine(program, root, arguments.settings, arguments.pid, platform_type, drivers, outer)
+            with closing(found) as results:
                 return _print_results(program, results, arguments)
         settings = open_settings(root, arguments.settings, arguments.pid)
         key = open_key(settings)
@@ -114,8 +116,7 @@ def main(
         with ExitStack() as opened:
             host = None
             if squad is not None:
-                outer = load(root / squad.settings, _beside(arguments.settings, squad.settings))
-                host = open_host(squad, fleet, settings, outer, process)
+                host = open_host(squad, fleet, settings, load(*_outer(squad, root, arguments.settings)[1:]), process)
                 opened.callback(host.close)
                 fleet, drivers = host.fleet, {**drivers, **host.drivers}
             platform = platform_type(settings, key)
@@ -374,10 +375,10 @@ def _emitter(quiet: bool) -> Emit:
     return emit
 
 
-def _beside(overrides: Path | None, name: str) -> Path | None:
-    """Return the file `name` in the folder of a settings file that the user gave; None without such a file."""
-    found = None if overrides is None else overrides.with_name(name)
-    return found if found is not None and found.is_file() else None
+def _outer(squad: Squad, root: Path, overrides: Path | None) -> OuterRobot:
+    """Return the outer robot. Its settings may be overridden in the folder of the settings that the user gave."""
+    beside = None if overrides is None else overrides.with_name(squad.settings)
+    return OuterRobot(squad.program, root / squad.settings, beside if beside is not None and beside.is_file() else None)
 
 
 def _warn(text: str) -> None:

@@ -17,7 +17,7 @@ from koordgen.runtime.vehicle.platform import Finding
 OK, WRONG, SURROUNDINGS = 0, 1, 5
 # Names of the checks of the user's own files, in a bundle that was built and copied. All other checks concern the
 # environment of the robot.
-OWN = ("files", "settings", "key", "program", "body")
+OWN = ("files", "settings", "key", "program", "body", "outer", "outer key")
 NARROWEST, WIDEST = 40, 100
 _NAME = 10
 _INDENT = " " * (_NAME + 7)

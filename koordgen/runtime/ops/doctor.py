@@ -8,9 +8,11 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
-from koordgen.runtime.config.settings import BadSettings, Peer, Settings
+from koordgen.runtime.config.settings import BadSettings, Peer, Settings, load
 from koordgen.runtime.native import protocol
 from koordgen.runtime.net import inbox
 from koordgen.runtime.net.layout import Layout, TooLarge
@@ -32,12 +34,21 @@ LOOKUP = 3.0  # seconds within which the addresses of all hosts must be found
 PlatformType = Callable[[Settings, bytes | None], Platform]
 
 
+class OuterRobot(NamedTuple):
+    """Robot of the outer fleet that this robot's fleet is. `settings`, `overrides`: its files; see `load`."""
+
+    program: Program
+    settings: Path
+    overrides: Path | None
+
+
 def examine(
     program: Program | FleetProgram, root: Path, overrides: Path | None, pid: int | None,
-    platform_type: PlatformType, drivers: Drivers,
+    platform_type: PlatformType, drivers: Drivers, outer: OuterRobot | None = None,
 ) -> Generator[Finding, None, None]:  # fmt: skip
     """Run all checks of a robot, and yield each result immediately.
 
+    outer: the outer robot, if this robot's fleet is a robot of another fleet.
     Checks that depend on a failed check are left out. Close the generator to end the checks early and to free the
     resources that they use."""
     clocks = Clocks()
@@ -63,8 +74,30 @@ def examine(
     key, found = _key(settings)
     yield found
     yield from _network(settings, key)
+    if outer is not None:
+        yield from _outer(outer, settings)
     yield from _body(settings, key, fleet.of(settings.pid), platform_type, drivers)
     yield clocks.finding()
+
+
+def _outer(outer: OuterRobot, inner: Settings) -> Iterator[Finding]:
+    """Check the outer robot on this robot, which may become its host: program, settings, key, and addresses."""
+    try:
+        if outer.program.library is not None:
+            outer.program.library.load()
+        settings = load(outer.settings, outer.overrides)
+    except (BadExtern, BadSettings) as error:
+        yield Finding("outer", "fail", str(error))
+        return
+    if settings.application_id == inner.application_id:
+        why = "robots tell the two fleets apart by it: give the inner fleet file another `application_id`"
+        found = f"application_id {settings.application_id} is that of the inner fleet, too"
+        yield Finding("outer", "fail", found, "two different ones", why)
+        return
+    detail = f"{outer.program.name} {outer.program.program_hash}"
+    yield Finding("outer", "ok", f"robot {settings.robot} of {detail}, delta {settings.delta} s")
+    yield replace(_key(settings)[1], name="outer key")
+    yield from [replace(each, name=f"outer {each.name}") for each in _peers(settings)]
 
 
 def _trace(path: Path, limit: float | None) -> Finding:
@@ -144,6 +177,15 @@ def _key(settings: Settings) -> tuple[bytes | None, Finding]:
 
 
 def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
+    """Check the addresses of all robots, and that this robot's ports are free."""
+    yield from _peers(settings)
+    own = settings.peers[settings.pid]
+    detail = f"{settings.bind or own.host}:{settings.control_port} is free: emergency stop and --status"
+    yield _opens("control", detail, lambda: Control.open(settings, key).close())
+
+
+def _peers(settings: Settings) -> Iterator[Finding]:
+    """Check the addresses of all robots of a fleet, and that this robot's own one is free."""
     missing = unknown(settings.peers, LOOKUP)
     if missing:
         hint = "check the name server, or write IP addresses into the fleet file, or host names into /etc/hosts"
@@ -164,8 +206,6 @@ def _network(settings: Settings, key: bytes | None) -> Iterator[Finding]:
         if network.transport == "zenoh":
             detail = f"zenoh opens as {network.mode}"
         yield _opens("port", detail, lambda: open_transport(settings).close())
-    detail = f"{place}:{settings.control_port} is free: emergency stop and --status"
-    yield _opens("control", detail, lambda: Control.open(settings, key).close())
 
 
 def _opens(name: str, detail: str, open_and_close: Callable[[], None]) -> Finding:

@@ -16,6 +16,7 @@ import pytest
 from benchmarks.fixtures.fleet import FakePlatform
 from benchmarks.fixtures.lineform import PROGRAM
 from koordgen.runtime.agent import process as agent
+from koordgen.runtime.agent.squad import Squad
 from koordgen.runtime.config.settings import BadSettings, Peer, Settings
 from koordgen.runtime.net import socket_batch
 from koordgen.runtime.net.layout import Layout, TooLarge
@@ -24,6 +25,7 @@ from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.platform import Finding, Unready
 from tests.runtime.agent.robot_main import body
 from tests.runtime.agent.test_process import bundles, change
+from tests.runtime.net.transports import free_ports
 
 __all__ = ["bundles"]  # a fixture
 
@@ -217,3 +219,32 @@ def test_a_computer_without_a_compiler(
     assert done == 0
     assert (found["compiled"]["state"], found["compiled"]["found"]) == ("warn", "there is no C compiler")
     assert re.search(r"\d+ % more CPU, .*apt install gcc", found["compiled"]["why"])
+
+
+def test_the_outer_robot_that_a_fleet_is(bundles: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """Its settings, key and addresses are checked on each robot that may become its host."""
+    settings = json.loads((bundles[1] / "settings.json").read_text())
+    peers = [{**peer, "name": f"outer-{peer['name']}", "port": port} for peer, port in zip(
+        settings["peers"], free_ports(len(settings["peers"])), strict=True
+    )]  # fmt: skip
+    outer = {**settings, "robot": "squad", "application_id": 9, "peers": peers}
+    squad = Squad(0, {}, {}, PROGRAM)
+
+    def found(**changes: Any) -> tuple[int, dict[str, Any]]:
+        (bundles[1] / "outer.json").write_text(json.dumps({**outer, **changes}))
+        done = agent.main(PROGRAM, body, bundles[1], ["--doctor", "--format", "json"], squad=squad)
+        return done, {f["name"]: f for f in json.loads(capsys.readouterr().out)["checks"]}
+
+    done, checks = found()
+    assert done == 0 and list(checks)[-6:] == ["outer", "outer key", "outer peers", "outer port", "fake", "clock"]
+    assert f"robot squad of {PROGRAM.name}" in checks["outer"]["found"]
+    done, checks = found(application_id=settings["application_id"])
+    assert done == 1 and "is that of the inner fleet, too" in checks["outer"]["found"] and "outer key" not in checks
+    done, checks = found(key_file="missing.key")
+    assert done == 1 and checks["outer key"]["state"] == "fail" and checks["outer port"]["state"] == "ok"
+    done, checks = found(peers=settings["peers"], pid=7)
+    assert done == 1 and "pid 7 is not among" in checks["outer"]["found"] and checks["fake"]["state"] == "ok"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", peers[1]["port"]))
+        done, checks = found()
+    assert done == 5 and "in use" in checks["outer port"]["found"]

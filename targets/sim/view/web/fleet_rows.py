@@ -28,6 +28,7 @@ from koordgen.runtime.trace.schema import (
     SharedVariable,
 )
 from targets.sim.base.bodies import Vector
+from targets.sim.base.fleets import SQUAD
 from targets.sim.view.data.rows import Chunk, Rows
 
 FRESH = 1.0  # seconds: a robot whose last report is older counts as silent
@@ -324,7 +325,10 @@ class FleetRows:
         places = [
             (pid, known.report.pose.position)
             for pid, known in enumerate(self._robots)
-            if known.report is not None and known.report.pose is not None and t - known.posed <= FRESH
+            if self.header.robots[pid].target != SQUAD  # its robots have places of their own
+            and known.report is not None
+            and known.report.pose is not None
+            and t - known.posed <= FRESH
         ]
         pairs = ((math.dist(a, b), i, j) for (i, a), (j, b) in itertools.combinations(places, 2))
         apart, i, j = min(pairs, default=(math.inf, 0, 0))
