@@ -69,13 +69,13 @@ def replay(options: Namespace) -> int:
     for squad in squads:
         for line in squad.difference_lines:
             notify(line)
-    status = _told(path, what, found, ended, options.seconds, "program" + "s" * fleet.is_composed)
+    status = _printed(path, what, found, ended, options.seconds, "program" + "s" * fleet.is_composed)
     for squad in squads:
         print(squad.summary)
     return VIOLATED if any(squad.differences for squad in squads) else status
 
 
-def _told(path: Path, what: str, found: list[Difference], ended: bool, seconds: float, programs: str) -> int:
+def _printed(path: Path, what: str, found: list[Difference], ended: bool, seconds: float, programs: str) -> int:
     """Print the result of a replay. Return its exit status."""
     if found:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
