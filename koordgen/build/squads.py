@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from collections.abc import Sequence as Several
+from hashlib import blake2s
 
 from koordgen.build.composition import ApplicationProgram
 from koordgen.fleet.address import Address, control_port, outer_port
@@ -27,6 +28,11 @@ LEAST_ROUNDS = 3  # inner rounds in an outer one: an inner commit takes two, and
 _KINDS = {"sensor": "a sensor", "actuator": "an actuator", "callable": "a callable port", "stream": "a stream"}
 
 Found = Iterator[tuple[Source, Diagnostic]]
+
+
+def joined_hash(inner: str, outer: str) -> str:
+    """Return the hash of the programs of both levels; equal to that of koordgen/runtime/agent/squad.py (tested)."""
+    return blake2s(f"{inner} {outer}".encode(), digest_size=8).hexdigest()
 
 
 class InnerLevel(Node):
@@ -82,6 +88,7 @@ def check_fleets(fleet: Fleet, source: Source, levels: Several[InnerLevel]) -> F
         yield from _level(source, level)
     yield from _delta(fleet, source, levels)
     yield from _application_ids(fleet, source, levels)
+    yield from _origins(fleet, source, levels)
     yield from _addresses(fleet, source, levels)
 
 
@@ -127,6 +134,14 @@ def _application_ids(fleet: Fleet, source: Source, levels: Several[InnerLevel]) 
             message = f"{level.inner.file} and {first} have the same application_id, {number}"
             help = f"write another `application_id` in {level.inner.file}: robots tell their fleets apart by it"
             yield _at(source, level, "inner", message, help)
+
+
+def _origins(fleet: Fleet, source: Source, levels: Several[InnerLevel]) -> Found:
+    """Report inner fleets with another frame: outer commands and inner positions are in the frame of both."""
+    for level in levels:
+        if level.fleet.origin != fleet.origin:
+            message = f"the origin of {level.inner.file} is not that of this file, so positions would mean other places"
+            yield _at(source, level, "inner", message, f"write the same `origin` in {level.inner.file}")
 
 
 def _addresses(fleet: Fleet, source: Source, levels: Several[InnerLevel]) -> Found:

@@ -15,9 +15,9 @@ from koordgen.build.bundle.functions import functions_file
 from koordgen.build.bundle.plan import COMPOSITION, PARAMS, SOURCE, store_facts
 from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import Rejected, check_file
+from koordgen.build.squads import joined_hash
 from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
-from koordgen.runtime.agent.squad import joined_hash
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
 from koordgen.verify.audit.history import FleetMission, mission
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files

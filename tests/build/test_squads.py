@@ -72,6 +72,8 @@ def test_listed_ports_are_used(tmp_path: Path) -> None:
          "outer.yaml:6:26: F005 alpha.yaml and outer.yaml have the same application_id, 0 | write another"),
         ("alpha.yaml", "application_id: 2", "application_id: 3",
          "outer.yaml:8:25: F005 beta.yaml and alpha.yaml have the same application_id, 3 | write another"),
+        ("beta.yaml", "longitude: 8.545594", "longitude: 8.5455",
+         "outer.yaml:8:25: F005 the origin of beta.yaml is not that of this file, so positions would mean other "),
         ("alpha.yaml", "127.0.0.1:47201", "127.0.0.1:47100",
          "outer.yaml:6:26: F006 127.0.0.1:47100 is the address of bob in alpha.yaml, and the address of dora | give"),
         ("alpha.yaml", "127.0.0.1:47201", "127.0.0.1:48302, control: 9",

@@ -26,7 +26,7 @@ RECORD = "(record)"  # its variable; no variable of a program has such a name
 STORED = f"{APPLICATION}.{RECORD}"
 MODULE = "Outer"  # module of the application, which the host serves
 WRITTEN = f"{MODULE}.written"  # actuator: version of the record; it is commanded once the write is committed
-SHARE = 0.05  # part of the time for events that the application's events may take
+SHARE = 0.25  # part of the time for events that the application's events may take; they need less than 1 ms
 HEAD = 64  # largest number of bytes of a record without the records of the checkpoint
 
 
