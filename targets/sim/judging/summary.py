@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from koordgen.runtime.program.runner import name_of
 from koordgen.runtime.trace.schema import (
@@ -121,6 +122,7 @@ class Summary(msgspec.Struct):
     shares: dict[str, float] = {}  # shares of the processor's time, by part; empty in real time
     host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
     reproduce: dict[str, str] = {}  # command and versions that repeat the run
+    squads: dict[str, str] | UnsetType = UNSET  # squad -> verdict on its own fleet; only in a run with squads
 
 
 def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult) -> Summary:
@@ -186,6 +188,8 @@ def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult)
 def add_fleet(summary: Summary, name: str, inner: Summary) -> None:
     """Add the properties of the inner fleet `name` and their violations to the summary of a run with squads."""
     found = [msgspec.structs.replace(each, name=f"{name}: {each.name}") for each in inner.properties]
+    known = {} if summary.squads is UNSET else summary.squads
+    summary.squads = {**known, name: headline(inner)}
     summary.properties += [msgspec.structs.replace(each, robots=_full(name, each.robots)) for each in found]
     own = [
         msgspec.structs.replace(each, robots=_full(name, each.robots), detail=f"{name}: {each.detail}")
@@ -198,6 +202,11 @@ def add_fleet(summary: Summary, name: str, inner: Summary) -> None:
     elif summary.verdict == "held" and LEFT_OPEN in inner.why:
         joint = "; " if LEFT_OPEN in summary.why else LEFT_OPEN
         summary.why += f"{joint}{name}: {inner.why.partition(LEFT_OPEN)[2]}"
+
+
+def squads_of(summary: Summary) -> dict[str, str]:
+    """Return the verdict on the fleet of each squad, by the squad's name."""
+    return {} if summary.squads is UNSET else summary.squads
 
 
 def _full(fleet: str, robots: tuple[str, ...]) -> tuple[str, ...]:
@@ -385,6 +394,7 @@ def as_text(summary: Summary) -> str:
         *_table(summary),
         "",
         *_details(summary),
+        *[f"squad {name}: {found}; see {name}/summary.txt" for name, found in squads_of(summary).items()],
         *_properties(summary),
     ]
     if summary.min_separation:
