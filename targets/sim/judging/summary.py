@@ -197,8 +197,11 @@ def add_fleet(summary: Summary, name: str, inner: Summary) -> None:
         if each.what == "property"
     ]
     summary.violations = sorted([*summary.violations, *own], key=lambda violation: violation.t)
-    if summary.verdict == "held" and own:
-        summary.verdict, summary.why = "violated", violation_text(own[0])
+    judged = [each for each in own if not each.host]  # the host did not cause them
+    if summary.verdict in ("held", "host overloaded") and judged:
+        summary.verdict, summary.why = "violated", violation_text(judged[0])
+    elif summary.verdict == "held" and own:
+        summary.verdict, summary.why = "host overloaded", _overloaded(violation_text(own[0]))
     elif summary.verdict == "held" and LEFT_OPEN in inner.why:
         joint = "; " if LEFT_OPEN in summary.why else LEFT_OPEN
         summary.why += f"{joint}{name}: {inner.why.partition(LEFT_OPEN)[2]}"
@@ -306,10 +309,15 @@ def _verdict(result: RunResult, violations: list[Violation], properties: list[Fo
     if own:
         return "violated", first
     if violations:
-        return "host overloaded", f"{first}. The run does not judge the program: {AGAIN}"
+        return "host overloaded", _overloaded(first)
     how = "all robots ended by themselves" if result.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
     return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
+
+
+def _overloaded(first: str) -> str:
+    """Return why a run with an overloaded host judges nothing. `first`: the first violation."""
+    return f"{first}. The run does not judge the program: {AGAIN}"
 
 
 def _open(found: Found) -> bool:
