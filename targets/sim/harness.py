@@ -17,6 +17,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -293,7 +294,8 @@ def _run(
     found = _summarised(run, run.fleets[0], result, _header(run.fleets[0], plan, options))
     for each in run.companions:
         if isinstance(each, FleetRun) and each.fleet.name:
-            inner = _summarised(run, each.fleet, each.result(result), _header(each.fleet, plan, options))
+            own = each.result(result) if load is None else each.result(result, partial(load.explained, zero=0.0))
+            inner = _summarised(run, each.fleet, own, _header(each.fleet, plan, options))
             summary.write(inner, folder / each.fleet.name)
             summary.add_fleet(found, each.fleet.name, inner)
     watched = sum(each.seconds for each in watchers)

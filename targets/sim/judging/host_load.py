@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from koordgen.runtime.agent.rounds import PUBLISH
+from koordgen.runtime.agent.squad import APPLICATION
+from koordgen.runtime.agent.squad import SHARE as OUTER_SHARE
 from koordgen.runtime.program.runner import LATE
 from koordgen.runtime.trace.schema import Mark, Round, TraceRecord, Violation
 from targets.sim.base.bodies import BodyState
@@ -130,12 +132,14 @@ class HostLoad:
     def _why_late(self, agent: AgentHandle, record: Round) -> str:
         """Return why the host made an event late; "" if the agent had a core for most of the time."""
         self.sample(self._run.conduct.now())
-        name, tick, available = agent.robot.name, record.time - record.late, PUBLISH * agent.delta
+        name, tick, window = agent.robot.name, record.time - record.late, PUBLISH * agent.delta
         found = self._found.get(name)
-        lost = 0.0 if found is None else found.between(tick, tick + available)
+        lost = 0.0 if found is None else found.between(tick, tick + window)
+        hosts_squad = record.application == APPLICATION and "." in name  # names of robots in squads have a dot
+        available = window * OUTER_SHARE if hosts_squad else window
         if lost < SHARE * available:
             return ""
-        lack = f"{1e3 * lost:.0f} of the {1e3 * available:.0f} ms that its event had"
+        lack = f"{1e3 * min(lost, available):.0f} of the {1e3 * available:.0f} ms that its event had"
         return f"the host gave {name}'s agent no core for {lack}"
 
     def end(self, at: float) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from koordgen.runtime.program.runner import name_of
 from koordgen.runtime.trace.schema import (
@@ -121,6 +122,7 @@ class Summary(msgspec.Struct):
     shares: dict[str, float] = {}  # shares of the processor's time, by part; empty in real time
     host_waits: dict[str, float] = {}  # s for which each robot's agent and the simulator waited for a core; real time
     reproduce: dict[str, str] = {}  # command and versions that repeat the run
+    squads: dict[str, str] | UnsetType = UNSET  # squad -> verdict on its own fleet; only in a run with squads
 
 
 def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult) -> Summary:
@@ -186,6 +188,8 @@ def summarise(header: Header, records: Iterable[TraceRecord], result: RunResult)
 def add_fleet(summary: Summary, name: str, inner: Summary) -> None:
     """Add the properties of the inner fleet `name` and their violations to the summary of a run with squads."""
     found = [msgspec.structs.replace(each, name=f"{name}: {each.name}") for each in inner.properties]
+    known = {} if summary.squads is UNSET else summary.squads
+    summary.squads = {**known, name: headline(inner)}
     summary.properties += [msgspec.structs.replace(each, robots=_full(name, each.robots)) for each in found]
     own = [
         msgspec.structs.replace(each, robots=_full(name, each.robots), detail=f"{name}: {each.detail}")
@@ -193,11 +197,19 @@ def add_fleet(summary: Summary, name: str, inner: Summary) -> None:
         if each.what == "property"
     ]
     summary.violations = sorted([*summary.violations, *own], key=lambda violation: violation.t)
-    if summary.verdict == "held" and own:
-        summary.verdict, summary.why = "violated", violation_text(own[0])
+    judged = [each for each in own if not each.host]  # the host did not cause them
+    if summary.verdict in ("held", "host overloaded") and judged:
+        summary.verdict, summary.why = "violated", violation_text(judged[0])
+    elif summary.verdict == "held" and own:
+        summary.verdict, summary.why = "host overloaded", _overloaded(violation_text(own[0]))
     elif summary.verdict == "held" and LEFT_OPEN in inner.why:
         joint = "; " if LEFT_OPEN in summary.why else LEFT_OPEN
         summary.why += f"{joint}{name}: {inner.why.partition(LEFT_OPEN)[2]}"
+
+
+def squads_of(summary: Summary) -> dict[str, str]:
+    """Return the verdict on the fleet of each squad, by the squad's name."""
+    return {} if summary.squads is UNSET else summary.squads
 
 
 def _full(fleet: str, robots: tuple[str, ...]) -> tuple[str, ...]:
@@ -297,10 +309,15 @@ def _verdict(result: RunResult, violations: list[Violation], properties: list[Fo
     if own:
         return "violated", first
     if violations:
-        return "host overloaded", f"{first}. The run does not judge the program: {AGAIN}"
+        return "host overloaded", _overloaded(first)
     how = "all robots ended by themselves" if result.ended == "stopped" else "the whole duration was simulated"
     left = "; ".join(f"{_named(found)}, {found.outcome}{_since(found)}" for found in properties if _open(found))
     return "held", f"{how}, and nothing was violated" + (f"{LEFT_OPEN}{left}" if left else "")
+
+
+def _overloaded(first: str) -> str:
+    """Return why a run with an overloaded host judges nothing. `first`: the first violation."""
+    return f"{first}. The run does not judge the program: {AGAIN}"
 
 
 def _open(found: Found) -> bool:
@@ -385,6 +402,7 @@ def as_text(summary: Summary) -> str:
         *_table(summary),
         "",
         *_details(summary),
+        *[f"squad {name}: {found}; see {name}/summary.txt" for name, found in squads_of(summary).items()],
         *_properties(summary),
     ]
     if summary.min_separation:

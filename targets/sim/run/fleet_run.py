@@ -4,7 +4,7 @@ Each fleet has its own round 1, so its own t = 0, and a trace and properties of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import msgspec
@@ -81,13 +81,15 @@ class FleetRun:
         """End the mission of all fleets with this reason."""
         self._run.finish(why)
 
-    def result(self, whole: RunResult) -> RunResult:
-        """Return the result of this fleet, given that of the run, which is the outer fleet's."""
+    def result(self, whole: RunResult, explained: Callable[[Sequence[Mark]], Sequence[Mark]] = list) -> RunResult:
+        """Return the result of this fleet, given that of the run, which is the outer fleet's.
+
+        `explained`: function that sets `host` in violations that the host caused, at times of the run's clock."""
         if not self.fleet.name:
             return whole
         zero = self.zero
         since = whole.zero if zero is None else zero
-        marks = [msgspec.structs.replace(mark, t=round(mark.t - since, 6)) for mark in self._marks]
+        marks = [msgspec.structs.replace(mark, t=round(mark.t - since, 6)) for mark in explained(self._marks)]
         for mark in whole.marks:
             if self._concerns(mark):
                 marks.append(msgspec.structs.replace(mark, t=round(mark.t + whole.zero - since, 6)))

@@ -22,7 +22,7 @@ from tests.experiment.campaign.fake import full_disk
 from tests.experiment.validate import fake
 
 OUT = Path("out")
-PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"harness": {"start_noise": 0.3}}'}
+PLANNED = {"SHA256SUMS": b"sums", "scenario.json": b'{"harness": {"start_noise": 0.3}, "program_hash": "0"}'}
 PROGRAM = """
 using Motion:
   sensors: Point position

@@ -71,6 +71,17 @@ def late(host: Host, name: str = "ann") -> str:
     return host.why("fault", ZERO, name, detail=f"a.koord: {LATE}")
 
 
+def test_an_event_that_hosts_a_squad_has_a_small_part_of_the_time(host: Host) -> None:
+    host.agents[0].robot.name = "alpha.ann"
+    fault = EventFault("a.koord", 0, LATE)
+    host.passes(1.0)
+    host.passes(0.2, ann=0.004)
+    for application, robot in (("triangle", "alpha.ann"), ("outer", "alpha.ann"), ("outer", "bob")):
+        record = Round(3, fault=fault, time=ZERO + 1.0, late=0.0, application=application)
+        agent = host.agents[robot == "bob"]
+        assert bool(host.load._why_late(agent, record)) == (robot == "alpha.ann" and application == "outer")  # type: ignore[arg-type]
+
+
 def test_an_event_that_had_no_core_is_late_by_the_host(host: Host) -> None:
     host.passes(1.0)
     host.passes(0.2, ann=0.08)

@@ -13,6 +13,8 @@ from targets.sim.trace.files import read
 from tests.sim.lockstep.fleets import together
 from tests.sim.lockstep.lockstep import ran, summary
 
+pytestmark = pytest.mark.slow
+
 COUNT = """\
 using Motion:
   sensors: Point position
@@ -98,7 +100,6 @@ def test_each_fleet_is_judged_by_its_own_properties(run: Path) -> None:
     assert (run / "alpha" / "source" / "two.koord").is_file()
 
 
-@pytest.mark.slow
 def test_a_robot_of_an_inner_fleet_can_be_cut_off_from_its_fleet(bundle: Path, tmp_path: Path) -> None:
     groups = [["alpha.ann", "ann", "bert"], ["alpha.cleo", "alpha.dora"]]
     faults = {"events": [{"at": 0.05, "for": 3, "partition": groups}]}

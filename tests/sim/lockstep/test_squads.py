@@ -69,6 +69,14 @@ def test_a_squad_is_one_robot_in_the_trace_of_the_outer_fleet(run: Path) -> None
     assert [(r.member, r.position) for r in members] == list(zip(("ann", "bob", "cyd"), last, strict=True))
 
 
+def test_the_summary_names_the_verdict_on_each_squad(run: Path) -> None:
+    found = json.loads((run / "summary.json").read_text())
+    own = {name: json.loads((run / name / "summary.json").read_text())["verdict"] for name in ("alpha", "beta")}
+    assert found["squads"] == own
+    assert f"squad alpha: {own['alpha']}; see alpha/summary.txt" in (run / "summary.txt").read_text()
+    assert "squads" not in json.loads((run / "alpha" / "summary.json").read_text())
+
+
 def test_the_outer_robot_goes_on_when_its_host_dies(run: Path) -> None:
     rounds = [r for r in records(run / "trace.jsonl", Round) if r.pid == 1]
     numbers = [r.round for r in rounds]

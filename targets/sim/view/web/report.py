@@ -18,6 +18,7 @@ from targets.sim.judging.summary import (
     headline,
     place,
     seconds,
+    squads_of,
     stalled,
     summarise,
     violation_text,
@@ -93,6 +94,7 @@ def html(header: Header, summary: Summary, rows: Chunk, lines: list[tuple[float,
     after = [
         "<h2>Robots</h2>",
         _robots(summary.robots),
+        *_squads(summary),
         *_logs(summary.robots),
         "<h2>What happened</h2>",
         _lines(lines),
@@ -208,6 +210,13 @@ def _robots(robots: list[RobotSummary]) -> str:
         )  # fmt: skip
         rows.append("".join(f"<td{_class(k in numeric, k in (3, 4))}>{cell}</td>" for k, cell in enumerate(cells)))
     return '<div class="wide"><table>' + "".join(f"<tr>{row}</tr>" for row in rows) + "</table></div>"
+
+
+def _squads(summary: Summary) -> list[str]:
+    """Return links to the reports of squads, which are beside this one."""
+    found = squads_of(summary).items()
+    links = [f'<a href="{escape(name)}/report.html">{escape(name)}</a>: {escape(verdict)}' for name, verdict in found]
+    return [f"<p>Reports of the squads: {', '.join(links)}</p>"] if links else []
 
 
 def _class(number: bool, position: bool = False) -> str:
