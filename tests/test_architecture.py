@@ -53,7 +53,7 @@ RUNTIME = {
     "lang": {"values", "program"},
     "fleet": set(),
     "build": set(),
-    "verify": {"values", "program", "trace", "config"},
+    "verify": {"values", "program", "trace", "config", "agent"},  # agent: records of outer robots in traces
     "experiment": {"ops"},
     "operate": {"values", "config", "net", "vehicle", "ops", "trace"},
     "cli": {"ops", "net", "trace"},

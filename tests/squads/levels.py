@@ -88,7 +88,8 @@ class Node:
 class Levels(CountedEvents):
     """Outer fleet of `sizes` robots: a number above 0 is the number of robots of a squad, 0 an ordinary robot.
 
-    `records` and `applied` are those of the outer fleet.
+    `records` and `applied` are those of the outer fleet. `files`: squad (-1: the outer fleet) and pid -> traces of the
+    robot, one for each start of its agent, with the clock of its times.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Levels(CountedEvents):
         self.inside = [MemoryNetwork(self.time, self.random.getrandbits(32), conditions) for _ in sizes]
         self.nodes: dict[int, Node] = {}
         self.down: set[int] = set()  # places of the robots that are killed
+        self.files: dict[tuple[int, int], list[tuple[SimulatedClock, io.BytesIO]]] = {}
         self.hosts: list[tuple[float, int, int]] = []  # (time, outer pid, inner pid): changes of a host
         self._where: list[tuple[int, int]] = []  # place -> (squad or -1, pid)
         self._of_squad: dict[int, list[int]] = {}  # outer pid of a squad -> places of its robots
@@ -122,14 +124,16 @@ class Levels(CountedEvents):
         platform = FakePlatform(old.platform.position if old else Point(place, 0, 0))
         transport = self.between.transport(place, self._of_squad)
 
-        def trace() -> Trace:
-            return Trace(io.BytesIO(), lines.append)
+        def trace(of_outer: bool = True) -> Trace:
+            file = io.BytesIO()
+            self.files.setdefault((-1, fleet) if of_outer and fleet >= 0 else (fleet, pid), []).append((clock, file))
+            return Trace(file, lines.append)
 
         if fleet < 0:
             agent = Agent(
                 self.outer_program, settings(pid, len(self.sizes), OUTER, safety=self.safety), KEY, platform, clock,
-                transport, trace(), lambda level, line: lines.append(line), self.random.randbytes(8), self._kept[place],
-                monitors=[lambda record: self._keep(pid, record)],
+                transport, trace(), lambda level, line: lines.append(line), self.random.randbytes(8),
+                self._kept[place], monitors=[lambda record: self._keep(pid, record)],
             )  # fmt: skip
             host = None
         else:
@@ -147,7 +151,7 @@ class Levels(CountedEvents):
             body = with_drivers(platform, host.fleet.of(pid), host.drivers)
             agent = Agent(
                 host.fleet, settings(pid, size, INNER, application_id=fleet + 1), KEY, body, clock,
-                self.inside[fleet].transport(pid), trace(), lambda level, line: lines.append(line),
+                self.inside[fleet].transport(pid), trace(False), lambda level, line: lines.append(line),
                 self.random.randbytes(8), self._kept[place],
             )  # fmt: skip
             host.attach(agent)

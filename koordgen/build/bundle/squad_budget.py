@@ -42,18 +42,18 @@ def with_outer(
     """
     commanded = [p.value.name for p in ports if p.port.direction == "actuator" and isinstance(p.value, SharedRead)]
     capacity = record_capacity(outer, robots) + 1  # a value of an extern type takes one byte more than a string
-    return with_host(system, provider, commanded, capacity, outer.path, span)
+    record = Shared(RECORD, "allwrite", Sized("string", capacity), Const("", Sized("string", 0), span), span)
+    return with_host(system, provider, commanded, record, outer.path, span)
 
 
-def with_host(system: System, provider: int, commanded: Sequence[str], capacity: int, path: str, span: Span) -> System:
+def with_host(system: System, provider: int, commanded: Sequence[str], record: Shared, path: str, span: Span) -> System:
     """Return an inner system with an application that hosts an outer program, numbered last.
 
-    `commanded`: variables of the providing program that the outer program writes. `capacity`: of the record, in bytes.
-    `path`: file of the outer program. Other parameters: see with_outer.
+    `commanded`: variables of the providing program that the outer program writes. `record`: variable with the record of
+    the outer robot. `path`: file of the outer program. Other parameters: see with_outer.
     """
     providing = system.applications[provider]
     taking = [replace(v, span=span) for v in providing.program.shared if v.name in commanded]
-    record = Shared(RECORD, "allwrite", Sized("string", capacity), Const("", Sized("string", 0), span), span)
     written = [record, *taking]
     effect = tuple([Assign(SharedPlace(v.name), SharedRead(v.name, v.type, span), span) for v in written])
     names = tuple([v.name for v in taking])

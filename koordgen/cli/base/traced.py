@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from koordgen.lang.ir.decl import Program
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.composition import Application, System
 
+HOST = "outer"  # application of a squad that hosts the outer robot; equal to that of koordgen/runtime (tested)
 SOURCE, PARAMS = "source", "params.json"  # paths in a run's folder; koordgen/build/bundle/plan.py writes them
 
 
@@ -48,7 +50,7 @@ def fleet_of(options: Namespace, trace: Path, header: Mapping[str, Any]) -> Trac
         raise Failure(WRONG, f"{trace} is a counterexample, not the trace of a run", help)
     n_sys = len(header["robots"]) if "robots" in header else int(header["n_sys"])
     if options.fleet is not None and _names_programs(options.fleet):
-        found = _of_fleet_file(options)
+        found = _of_fleet_file(options, header)
     elif len(header.get("applications", ())) > 1 or "composition" in header:
         found = _of_run(options, trace, header, n_sys)
     else:
@@ -56,27 +58,54 @@ def fleet_of(options: Namespace, trace: Path, header: Mapping[str, Any]) -> Trac
     from koordgen.build.emit.system import system_hash
 
     its = system_hash(found.system, [_content(file) for file in found.functions])
+    is_squad = [*header.get("applications", ())][len(found.system.applications) :] == [HOST]
+    if is_squad and "robots" not in header:
+        its = _with_outer_hash(options, trace, its)
     if its != program_hash:
         what = options.fleet or f"the programs in the folder {SOURCE}/ beside it"
         raise Failure(
             WRONG, f"{trace} is the trace of programs with the hash {program_hash}, but {what} has {its}",
             "fleet file, programs, params or extern functions have changed: name those of the run with --fleet",
         )  # fmt: skip
-    return _with_host(found, header)
+    return _hosted(found, trace, header) if is_squad else found
 
 
-def _with_host(found: TracedFleet, header: Mapping[str, Any]) -> TracedFleet:
-    """Return the programs of a squad with the application that hosts the outer program; other programs unchanged."""
-    from koordgen.build.bundle.squad_budget import with_host
+def _with_outer_hash(options: Namespace, trace: Path, inner: str) -> str:
+    """Return the hash in the trace of one robot of a squad, which covers the outer program. Raises Failure.
 
-    part = next(iter(header.get("composition", ())[len(found.system.applications) :]), None)
-    if part is None:
-        return found
-    applications = found.system.applications
-    provider = next(index for index, each in enumerate(applications) if each.program.provides)
-    program = applications[provider].program
-    system = with_host(found.system, provider, list(part["variables"]), 1, "", program.provides[0].span)
+    `inner`: hash of the inner programs."""
+    from koordgen.runtime.trace.schema import BadTrace
+    from koordgen.verify.replay.hosted import joined_hash
+    from koordgen.verify.replay.trace import header_of
+
+    if options.program is not None:
+        return joined_hash(inner, _one_program(options, trace)[1])
+    for folder in _folders(trace):
+        with suppress(BadTrace, OSError):
+            header = header_of(folder / "trace.jsonl") or {}
+            if trace.parent.name.partition(".")[0] in [robot.get("name") for robot in header.get("robots", ())]:
+                return joined_hash(inner, str(header.get("program_hash", "")))
+    raise Failure(
+        USAGE, f"{trace} is the trace of a robot of a squad, and there is no trace of the outer fleet beside it",
+        "name the outer program with --program, and its params with --param",
+    )  # fmt: skip
+
+
+def _hosted(found: TracedFleet, trace: Path, header: Mapping[str, Any]) -> TracedFleet:
+    """Return the programs of a squad with the application that hosts the outer robot. Raises Failure."""
+    from koordgen.verify.replay.hosted import hosting
+
+    part = next((p for p in header.get("composition", ()) if p["name"] == HOST), None)
+    try:
+        system = hosting(found.system, None if part is None else part["variables"])
+    except (LookupError, TypeError, ValueError, StopIteration) as error:
+        help = "name the fleet file of the squad with --fleet"
+        raise Failure(WRONG, f"{trace}: the header does not fit the programs of a squad: {error}", help) from None
     return TracedFleet(system, (*found.functions, None), is_squad=True)
+
+
+def _is_squad(header: Mapping[str, Any]) -> bool:
+    return [*header.get("applications", ())][-1:] == [HOST]
 
 
 def _names_programs(fleet: str) -> bool:
@@ -90,8 +119,12 @@ def _content(file: Path | None) -> bytes:
     return file.read_bytes() if file is not None and file.is_file() else b""
 
 
-def _only_for_one_program(options: Namespace) -> None:
-    """Refuse options that name parts of a single program. Raises Failure."""
+def _only_for_one_program(options: Namespace, header: Mapping[str, Any]) -> None:
+    """Refuse options that name parts of a single program. Raises Failure.
+
+    In the trace of a robot of a squad, they are about the outer program."""
+    if "robots" not in header and _is_squad(header):
+        return
     for option, is_given in {
         "--program": options.program is not None,
         "--param": bool(options.param),
@@ -102,12 +135,12 @@ def _only_for_one_program(options: Namespace) -> None:
             raise Failure(USAGE, f"{option} is for a fleet with one program, and this trace has several", help)
 
 
-def _of_fleet_file(options: Namespace) -> TracedFleet:
+def _of_fleet_file(options: Namespace, header: Mapping[str, Any]) -> TracedFleet:
     from koordgen.build.bundle.functions import functions_file
     from koordgen.build.emit.system import with_sizes
     from koordgen.build.pipeline import check_system
 
-    _only_for_one_program(options)
+    _only_for_one_program(options, header)
     checked = check_system(options.fleet)
     system = with_sizes(checked.system)
     parts = zip(system.applications, checked.parts, strict=True)
@@ -118,18 +151,17 @@ def _of_fleet_file(options: Namespace) -> TracedFleet:
 def _of_run(options: Namespace, trace: Path, header: Mapping[str, Any], n_sys: int) -> TracedFleet:
     """Return the programs in the folder of a run, connected as the header says."""
     from koordgen.build.bundle.functions import functions_file
-    from koordgen.build.bundle.squad_budget import OUTER
     from koordgen.build.emit.system import with_sizes
 
-    _only_for_one_program(options)
-    folder = next((f for f in _folders(trace) if any((f / SOURCE).glob("*/*.koord"))), None)
+    _only_for_one_program(options, header)
+    folder = next((f for f in _folders_of_fleet(trace) if any((f / SOURCE).glob("*/*.koord"))), None)
     composition = None if folder is None else header.get("composition") or _composition_of(folder, header)
     if folder is None or composition is None:
         alone = f"{trace} is the trace of one robot"
         what = alone if folder is not None else f"there is no folder {SOURCE}/ beside {trace}"
         raise Failure(USAGE, f"{what}, and the fleet has several applications", "name the fleet file with --fleet")
     try:
-        own = [part for part in composition if part["name"] != OUTER or (folder / SOURCE / OUTER).is_dir()]
+        own = [part for part in composition if part["name"] != HOST or (folder / SOURCE / HOST).is_dir()]
         applications = tuple([_application(folder, part) for part in own])
         system = with_sizes(System(applications, n_sys))
     except (LookupError, TypeError, ValueError, StopIteration) as error:
@@ -147,7 +179,9 @@ def _composition_of(folder: Path, header: Mapping[str, Any]) -> Any:
         merged = header_of(folder / "trace.jsonl") or {}
     except (BadTrace, OSError):
         return None
-    return merged.get("composition") if merged.get("program_hash") == header.get("program_hash") else None
+    if not _is_squad(header) and merged.get("program_hash") != header.get("program_hash"):
+        return None
+    return merged.get("composition")
 
 
 def _application(folder: Path, part: Mapping[str, Any]) -> Application:
@@ -177,6 +211,26 @@ def _with_params(place: Path, given: Mapping[str, Any]) -> Program:
 
 
 def _with_one_program(options: Namespace, trace: Path, program_hash: str, n_sys: int) -> TracedFleet:
+    found, its = _one_program(options, trace, options.fleet)
+    if its != program_hash:
+        raise Failure(
+            WRONG, f"{trace} is the trace of a program with the hash {program_hash}, but {found.place} has {its}",
+            "program, params or extern functions have changed: name those of the run with --program, --fleet, "
+            "--param and --functions",
+        )  # fmt: skip
+    return TracedFleet(System.alone(found.program, n_sys), (found.functions,))
+
+
+class _FoundProgram(NamedTuple):
+    place: Path
+    program: Program
+    functions: Path | None
+
+
+def _one_program(options: Namespace, trace: Path, fleet: str | None = None) -> tuple[_FoundProgram, str]:
+    """Return the program that the options or the run's folder name, and its hash.
+
+    `fleet`: fleet file with params of the program. Raises Rejected, Failure."""
     from koordgen.build.bundle.functions import functions_file
     from koordgen.build.emit.program import program_hash as hashed
     from koordgen.build.pipeline import check_file, fleet_params
@@ -186,25 +240,25 @@ def _with_one_program(options: Namespace, trace: Path, program_hash: str, n_sys:
     place, beside = _place(options, trace)
     checked = check_file(str(place))
     try:
-        given = {**fleet_params(options.fleet, checked, str(place), squads=True), **beside, **params(options.param)}
+        given = {**fleet_params(fleet, checked, str(place), squads=True), **beside, **params(options.param)}
         program = with_params(checked.program, given)
     except BadParam as error:
         raise Failure(USAGE, str(error)) from None
     verify(program)
     functions = functions_file(program, place.parent, options.functions)
-    its = hashed(program, _content(functions))
-    if its != program_hash:
-        raise Failure(
-            WRONG, f"{trace} is the trace of a program with the hash {program_hash}, but {place} has {its}",
-            "program, params or extern functions have changed: name those of the run with --program, --fleet, "
-            "--param and --functions",
-        )  # fmt: skip
-    return TracedFleet(System.alone(program, n_sys), (functions,))
+    return _FoundProgram(place, program, functions), hashed(program, _content(functions))
 
 
 def _folders(trace: Path) -> Sequence[Path]:
     """Return the folders that may be the run's folder: the trace's own folder, or one of two folders above it."""
     return (trace.parent, *trace.absolute().parents[1:3])
+
+
+def _folders_of_fleet(trace: Path) -> Sequence[Path]:
+    """Return the folders that may be the run's folder. The traces of a squad's robots are in the outer fleet's folder:
+    those of `alpha` in folders with the names `alpha.ROBOT`."""
+    folders, squad = _folders(trace), trace.absolute().parent.name.partition(".")[0]
+    return (*folders, *(folder / squad for folder in folders))
 
 
 def _place(options: Namespace, trace: Path) -> tuple[Path, dict[str, Any]]:

@@ -66,8 +66,8 @@ class Squad:
         robots: number of robots of the outer fleet. events: see HostEvents.
         """
         commanded = tuple(self.actuators.values())
-        hashes = [_joined(inner.program_hash, self.program.program_hash)]
-        hashes.append(_joined(inner.interface_hash, self.program.interface_hash))
+        hashes = [joined_hash(inner.program_hash, self.program.program_hash)]
+        hashes.append(joined_hash(inner.interface_hash, self.program.interface_hash))
         added = FleetApplication(
             APPLICATION,
             self._program(inner.applications[self.application].program, robots, events),
@@ -151,6 +151,6 @@ def _value(function: Callable[[Any], Any], state: Transaction) -> Any:
         return None
 
 
-def _joined(first: str, second: str) -> str:
+def joined_hash(first: str, second: str) -> str:
     """Return a hash, 16 hexadecimal digits, of two hashes."""
     return blake2s(f"{first} {second}".encode(), digest_size=8).hexdigest()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from koordgen.lang.semantics.composition import System
+from koordgen.verify.replay.hosted import HostReplay
 from koordgen.verify.replay.robot import Counts, Difference, Replay, Unreplayable
 from koordgen.verify.replay.store import RecordedWrites, Shown
 from koordgen.verify.replay.trace import TraceLine, TraceParts
@@ -22,14 +23,15 @@ def replay_trace(
 ) -> Iterator[Difference]:
     """Yield every difference between trace and programs, in the trace's order.
 
-    `externs`: the extern functions of each application; None for an application whose events are not run again. Raises
-    BadTrace or Unreplayable."""
+    `externs`: the extern functions of each application; None for the application that hosts an outer robot, whose
+    events are not run again. Raises BadTrace or Unreplayable."""
     instances = Instances(system, trace)
-    again = [externs[i.application] for i in system.instances()]
-    replays = [
-        None if own is None else Replay(system, i, own, counts, trace.followed)
-        for i, own in zip(system.instances(), again, strict=True)
-    ]
+    replays: list[Replay | HostReplay] = []
+    for instance in system.instances():
+        own = externs[instance.application]
+        replays.append(
+            HostReplay(system, instance) if own is None else Replay(system, instance, own, counts, trace.followed)
+        )
     stores = None if trace.own else Stores(system, instances, trace)
     views: dict[int, tuple[int, Any]] = {}
     last = 0
@@ -41,8 +43,6 @@ def replay_trace(
             views.clear()  # the views known so far belong to an earlier mission
         number = instances.of(line)
         replay = replays[number]
-        if replay is None:
-            continue
         # The previous part of the trace ends in the middle of a record, so records are missing between the parts.
         if trace.cut and line.record["kind"] == "checkpoint":
             replay.skip()
@@ -52,8 +52,7 @@ def replay_trace(
         last = line.number
     if not trace.cut:
         for number, replay in enumerate(replays):
-            if replay is not None:
-                yield from instances.named(number, replay.end(last))
+            yield from instances.named(number, replay.end(last))
 
 
 def _view(line: TraceLine, views: dict[int, tuple[int, Any]]) -> Iterator[Difference]:
