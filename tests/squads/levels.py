@@ -39,6 +39,29 @@ from tests.lang.semantics.compositions import compiled
 INNER = 0.1  # seconds in a round of the inner fleets
 OUTER = 0.5  # seconds in a round of the outer fleet
 QUIET = Conditions(delay=0.001, jitter=0.004)
+LOSSY = Conditions(loss=0.2, delay=0.001, jitter=0.01, duplication=0.05)
+
+WAVE = """
+using Motion:
+  sensors:
+    Point position
+    bool reached
+  actuators: Point target at position clears reached
+allread: Point x[N_SYS]
+local: int k
+init:
+  x[pid] = Motion.position
+Go:
+  pre: Motion.reached or k % 5 < 3
+  eff:
+    k += 1
+    if k % 2 == 0:
+      Motion.target = Point(k % 5, 2 * pid, 9)  # above the geofence
+    x[pid] = Motion.position
+Wait:
+  pre: True
+  eff: k += 1
+"""
 
 
 def loaded(name: str, text: str) -> Any:

@@ -10,29 +10,9 @@ from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import check_part
 from koordgen.runtime.trace.schema import FORMAT, ApplicationRecord, End, Header, RobotName
 from targets.sim.trace import files
-from tests.squads.levels import INNER, OUTER, TRIANGLE, Levels
+from tests.build.squad_files import TRIANGLE
+from tests.squads.levels import INNER, OUTER, Levels
 
-WAVE = """
-using Motion:
-  sensors:
-    Point position
-    bool reached
-  actuators: Point target at position clears reached
-allread: Point x[N_SYS]
-local: int k
-init:
-  x[pid] = Motion.position
-Go:
-  pre: Motion.reached or k % 5 < 3
-  eff:
-    k += 1
-    if k % 2 == 0:
-      Motion.target = Point(k % 5, 2 * pid, 9)  # above the geofence
-    x[pid] = Motion.position
-Wait:
-  pre: True
-  eff: k += 1
-"""
 FENCE = ((-6.0, -5.0, -0.5), (6.0, 5.0, 4.0))
 
 
@@ -48,7 +28,7 @@ def save(folder: Path, levels: Levels, text: str) -> Path:
             members = tuple(range(size))
             robots = tuple([RobotName(NAMES[p], p, "fake") for p in members])
             composition = (
-                ApplicationRecord("triangle", members, {v: f"triangle.{v}" for v in ("goal", "turns", "corner")}),
+                ApplicationRecord("triangle", members, {v: f"triangle.{v}" for v in ("goal", "corner")}),
                 ApplicationRecord("outer", members, {"goal": "triangle.goal"}),
             )
             names = ("triangle", "outer")

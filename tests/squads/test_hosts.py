@@ -7,7 +7,7 @@ import pytest
 from koordgen.runtime.agent.squad import STORED
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.values.points import Opaque, Point, distance
-from tests.squads.levels import Levels
+from tests.squads.levels import LOSSY, WAVE, Levels
 
 LINE = """
 using Motion:
@@ -134,6 +134,14 @@ def test_the_outer_robot_holds_without_an_inner_majority() -> None:
     assert levels.run(
         60, lambda: any(p == 1 and r > ended + 20 and levels.records[p, r].event for p, r in levels.records)
     )
+
+
+def test_an_outer_robot_moves_although_it_heard_the_last_robot_just_before_its_mission() -> None:
+    levels = Levels(WAVE, [3, 3, 0], 4, LOSSY)
+    levels.run_rounds(8)
+    for squad in (0, 1):
+        position = levels.records[squad, 8].sensors["Motion.position"]
+        assert position.z > 1, (squad, position)
 
 
 def test_a_record_that_no_host_wrote_stops_the_inner_robots_safely() -> None:

@@ -6,11 +6,8 @@ from random import Random
 
 import pytest
 
-from koordgen.runtime.net.network import Conditions
-from tests.squads.levels import Levels
+from tests.squads.levels import LOSSY, Levels
 from tests.squads.test_hosts import COUNT
-
-LOSSY = Conditions(loss=0.2, delay=0.001, jitter=0.01, duplication=0.05)
 
 
 def killed(seed: int, kills: int) -> Levels:

@@ -497,6 +497,7 @@ class Agent:
         self._unready = f"{NO_POSITION}: {verdict.reason}" if verdict.action != "go" else None
         if self.phase == "running" and self.round > 0:
             self._body.hold("joining", False, now)
+            self._body.hold("alone", False, now)  # the last robot may have been heard since the last poll while joining
 
     def _stop_safely(self, why: str, status: int) -> None:
         self.status = self.status or status

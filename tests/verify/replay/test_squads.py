@@ -13,8 +13,8 @@ import pytest
 from koordgen.cli import main
 from koordgen.cli.base import traced
 from koordgen.runtime.agent import squad
-from tests.squads.levels import Levels
-from tests.squads.saved import WAVE, save
+from tests.squads.levels import WAVE, Levels
+from tests.squads.saved import save
 
 Record = dict[str, Any]
 
@@ -79,7 +79,7 @@ def test_a_squads_trace_has_no_differences(run: Path, capsys: pytest.CaptureFixt
         (event_of("outer", "Write", lambda r: r["shared"].update(corner=[0.0, 0.0, 0.0])), "outer", "corner is"),
         (event_of("outer", "Write", lambda r: r.update(event="Other")), "outer", "the event is Other"),
         (event_of("outer", "Write", lambda r: r["shared"].update({"(record)": ["AAAA"]})), "outer", "copy of (record)"),
-        (event_of("triangle", "Go", other_copy), "triangle", "copy of goal is"),
+        (event_of("triangle", "Keep", other_copy), "triangle", "copy of goal is"),
     ],
 )
 def test_a_changed_value_of_a_squad_is_reported(
@@ -103,9 +103,9 @@ def test_a_claim_commands_nothing(run: Path, capsys: pytest.CaptureFixture[str])
 
 def test_a_header_that_commands_other_variables_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def commands(record: Record) -> bool:
-        record["composition"][1]["variables"]["turns"] = "triangle.turns"
+        record["composition"][1]["variables"]["corner"] = "triangle.corner"
         return True
 
     changed(run / "bert" / "trace.jsonl", commands)
     assert main(["replay", str(run / "bert")]) == 1
-    assert "triangle takes no commands by turns" in capsys.readouterr().err
+    assert "triangle takes no commands by corner" in capsys.readouterr().err
