@@ -27,11 +27,11 @@ from koordgen.lang.semantics.system import (
     view,
 )
 from koordgen.runtime.trace.schema import FORMAT, Header, RobotName
-from koordgen.verify.audit.fleet_state import AuditedFleet
 from koordgen.verify.audit.history import mission, of_application
 from koordgen.verify.audit.judge import PropertyJudge
 from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.audit.result import PropertyResult
+from koordgen.verify.audit.shared_store import AuditedFleet
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 from tests.composed.agents import Applied, ComposedAgents
 from tests.lang.semantics.compositions import NAMES as APPLICATIONS

@@ -10,10 +10,12 @@ from tests.squads.levels import LOSSY, Levels
 from tests.squads.test_hosts import COUNT
 
 
-def killed(seed: int, kills: int) -> Levels:
-    """Kill and restart random robots of two squads: at any moment, or a host while its outer robot has news."""
+def killed(seed: int, kills: int, text: str = COUNT) -> Levels:
+    """Kill and restart random robots of two squads: at any moment, or a host while its outer robot has news.
+
+    `text`: the outer program."""
     dice = Random(seed)
-    levels = Levels(COUNT, [3, 3, 0], seed, LOSSY)
+    levels = Levels(text, [3, 3, 0], seed, LOSSY)
     levels.run_rounds(4)
     for _ in range(kills):
         levels.run(dice.uniform(0.0, 3.0))

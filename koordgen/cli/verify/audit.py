@@ -13,16 +13,17 @@ from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, SURROUNDINGS, USAGE, VIOLATED, WRONG, Failure, install
 from koordgen.cli.base.terminal import ProgressLine, coloured_verdicts
 from koordgen.cli.base.traced import TracedFleet, fleet_of
+from koordgen.cli.verify.squads import compared_squads
 from koordgen.lang.semantics.composition import System
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit import blame, clocks, faults, monitors
 from koordgen.verify.audit.blame import Blame
-from koordgen.verify.audit.fleet_state import AuditedFleet
 from koordgen.verify.audit.history import FleetMission, mission, of_application
 from koordgen.verify.audit.judge import PropertyJudge
 from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.audit.result import PropertyResult
+from koordgen.verify.audit.shared_store import AuditedFleet
 from koordgen.verify.audit.show import Audit, document, fleet_document, note_lines, report
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
 from koordgen.verify.prove.report.composition import question_of
@@ -53,14 +54,23 @@ def audit(options: Namespace) -> int:
             "values in these traces are nested too deeply",
             "use traces that robots wrote; they never nest values so deeply",
         ) from None
+    merged = whole.log.path if not whole.log.own and len(paths) == 1 else None
+    squads = [] if merged is None else compared_squads(merged, fleet.system.applications[0].program, whole)
     violated, doubtful = any(each.violated for each in audits), any(each.doubtful for each in audits)
+    violated |= any(squad.differences for squad in squads)
     status = VIOLATED if violated else INCONCLUSIVE if doubtful else HOLDS
     notes = _notes_of_traces(whole) if fleet.is_composed else []
     if options.format == "json":
         made = fleet_document(audits, notes, status) if fleet.is_composed else document(audits[0], status)
+        made |= {"squads": [squad.document for squad in squads]} if squads else {}
         print(json.dumps(made, indent=2), flush=True)
     else:
-        text = "\n".join([*map(report, audits), *(["\n".join(note_lines(notes)) + "\n"] if notes else [])])
+        parts = [*map(report, audits), *(["\n".join(note_lines(notes)) + "\n"] if notes else [])]
+        if squads:
+            parts.append(
+                "".join([f"{line}\n" for squad in squads for line in (*squad.difference_lines, squad.summary)])
+            )
+        text = "\n".join(parts)
         sys.stdout.write(coloured_verdicts(text, sys.stdout))
         sys.stdout.flush()
     if options.plot:

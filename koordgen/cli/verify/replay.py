@@ -10,6 +10,7 @@ from typing import Any
 from koordgen.cli.base.alarm import alarm
 from koordgen.cli.base.console import HOLDS, INCONCLUSIVE, VIOLATED, WRONG, Failure, notify
 from koordgen.cli.base.traced import fleet_of
+from koordgen.cli.verify.squads import compared_squads
 from koordgen.lang.semantics.deadline import OutOfTime
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.replay.fleet import replay_trace
@@ -64,13 +65,25 @@ def replay(options: Namespace) -> int:
         notify(f"note: rounds before {trace.since} are unknown: the parts of the trace that record them are missing")
     if ended:
         notify(f"note: ended by --seconds {options.seconds:g}: the rest of the trace was not replayed")
+    squads = compared_squads(path, fleet.system.applications[0].program) if not (trace.own or ended) else []
+    for squad in squads:
+        for line in squad.difference_lines:
+            notify(line)
+    status = _told(path, what, found, ended, options.seconds, "program" + "s" * fleet.is_composed)
+    for squad in squads:
+        print(squad.summary)
+    return VIOLATED if any(squad.differences for squad in squads) else status
+
+
+def _told(path: Path, what: str, found: list[Difference], ended: bool, seconds: float, programs: str) -> int:
+    """Print the result of a replay. Return its exit status."""
     if found:
         print(f"{path}: {what}: {_count(len(found), 'difference')}")
         return VIOLATED
     if ended:
-        print(f"{path}: {what}: not decided: ended by --seconds {options.seconds:g}, no difference found before")
+        print(f"{path}: {what}: not decided: ended by --seconds {seconds:g}, no difference found before")
         return INCONCLUSIVE
-    print(f"{path}: {what}: no differences from the program{'s' * fleet.is_composed}")
+    print(f"{path}: {what}: no differences from the {programs}")
     return HOLDS
 
 

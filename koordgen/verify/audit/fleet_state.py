@@ -7,30 +7,16 @@ Robots sample no sensors between these times.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from koordgen.lang.ir.ports import clears
-from koordgen.lang.semantics.composition import System
 from koordgen.runtime.program.program import Calls
 from koordgen.runtime.program.property import UNKNOWN
-from koordgen.verify.audit.history import FleetMission, RobotHistory
+from koordgen.verify.audit.history import RobotHistory
 from koordgen.verify.audit.properties import GeneratedProperties
-from koordgen.verify.replay.store import RecordedWrites, StoreKey, had_frame
-
-
-class AuditedFleet(NamedTuple):
-    """Applications of a fleet, each with the mission as its members recorded it. `missions`: by application."""
-
-    system: System
-    missions: tuple[FleetMission, ...]
-
-    def written(self, index: int) -> set[StoreKey]:
-        """Return the shared variables that an application can write."""
-        program = self.system.applications[index].program
-        own = {(index, variable.name) for variable in self.system.own(index)}
-        return own | {(self.system.owner(index, name), name) for each in program.imports for name in each.written}
+from koordgen.verify.audit.shared_store import AuditedFleet, SharedStore
+from koordgen.verify.replay.store import StoreKey
 
 
 class SharedChange(NamedTuple):
@@ -175,45 +161,23 @@ def _record(history: RobotHistory, round_: int) -> Mapping[str, Any]:
 
 
 class _Shared:
-    """Values of the shared variables of one application's program after each round.
-
-    The values come from the copies that robots read at the start of the next round, in any application. Values that no
-    copy contains are computed from the recorded writes."""
+    """Values of the shared variables of one application's program after each round, for generated code."""
 
     def __init__(self, meaning: GeneratedProperties, fleet: AuditedFleet, index: int) -> None:
         self._meaning, self._index, self._system, self._missions = meaning, index, fleet.system, fleet.missions
-        self._writes = RecordedWrites(fleet.system)
-        self._instances = [
-            _Instance(history, application, self._writes.keys(application), fleet.written(application))
-            for application, mission in enumerate(fleet.missions)
-            for history in mission.histories
-        ]
-        for each in self._instances:
-            history = each.history
-            for record in [history.init or {}, *[line.record for line in history.rounds.values()]]:
-                self._writes.add_record(each.application, history.pid, record)
-        self._store: dict[StoreKey, Any] = dict(self._writes.first())
+        self._store = SharedStore(fleet, fleet.missions[index].first)
+        self._writes = self._store.writes
         # JSON values of the program's variables at the last conversion; `_values` holds the converted values
         self._converted: dict[str, Any] = {}
         self._values: dict[str, Any] = {}
-        self._round, self._before = 0, self._store  # last round, and the store before it
-        first = fleet.missions[index].first
-        if first:  # earlier rounds are missing, so the values before the first recorded round are unknown
-            for each in self._instances:
-                self._lose(each)
-                self._see(each, first)
+        self._round = 0
 
     def after(self, round_: int) -> dict[str, Any]:
         """Return the values of the shared variables after a round. Call this for all rounds in order."""
-        self._round, self._before = round_, dict(self._store)
-        self._store = dict(self._writes.after(self._store, round_))
-        for each in self._instances:
-            if each.history.may_act(round_):
-                self._lose(each)
-        for each in self._instances:
-            self._see(each, round_ + 1)
+        self._round = round_
+        self._store.advance(round_)
         for name, key in self._writes.keys(self._index).items():
-            recorded = self._store[key]
+            recorded = self._store.values[key]
             if name not in self._converted or self._converted[name] != recorded:
                 self._values[name] = self._value(name, key, recorded)
                 self._converted[name] = recorded
@@ -222,9 +186,9 @@ class _Shared:
     def changes(self, variable: str) -> list[SharedChange]:
         """See FleetState.changes. In a round in which a write may lack a record, all writes together are one change."""
         key = self._index, variable
-        before, after = self._before[key], self._store[key]
+        before, after = self._store.before[key], self._store.values[key]
         names = [application.name for application in self._system.applications]
-        if any(each.history.may_act(self._round) for each in self._instances if key in each.written):
+        if self._store.may_lack_writes(self._round, key):
             cause = "by writes of this round, not all of which were recorded"
             return [self._change(variable, before, after, cause, ())._replace(is_single=False)]
         found = []
@@ -246,55 +210,3 @@ class _Shared:
         # an imported allread variable is a list, which is unknown as a whole if one of its slots is
         is_own_slots = key in self._writes.slots and key[0] == self._index
         return [of(name, own) for own in recorded] if is_own_slots else of(name, recorded)
-
-    def _lose(self, each: _Instance) -> None:
-        """Set each slot and allwrite variable that an instance can write to UNKNOWN."""
-        for key in each.written:
-            held = self._store[key]
-            if key in self._writes.slots:
-                self._store[key] = [UNKNOWN if p == each.history.pid else own for p, own in enumerate(held)]
-            else:
-                self._store[key] = UNKNOWN
-
-    def _see(self, each: _Instance, round_: int) -> None:
-        """Update the shared variables with the copy that an instance read at the start of a round."""
-        history, copy = each.history, each.copy
-        if history.turns.get(round_, copy) is None:
-            copy.clear()
-        line = history.rounds.get(round_)
-        if line is None or not had_frame(line.record):
-            return
-        recorded = line.record.get("copy", {})
-        for name, held in recorded.items():
-            key = each.keys.get(name)
-            if key not in self._writes.slots:
-                copy[name] = held
-            elif isinstance(held, list):  # an imported allread variable is a list of all slots
-                copy[name] = dict(enumerate(held))
-            elif isinstance(held, dict):
-                copy.setdefault(name, {}).update(
-                    {int(p): own for p, own in held.items() if p.isdecimal() and len(p) < 10}
-                )
-        for name, key in each.keys.items():
-            if key in self._writes.slots:
-                slots = copy.get(name, {})
-                self._store[key] = [slots.get(p, own) for p, own in enumerate(self._store[key])]
-            elif name in copy:
-                self._store[key] = copy[name]
-        for name, own in line.record.get("shared", {}).items():
-            if each.keys.get(name) in self._writes.slots:
-                copy.setdefault(name, {})[history.pid] = own
-
-
-@dataclass
-class _Instance:
-    """Instance of an application, with its copy of the shared variables.
-
-    `keys`: the shared variables of its program, by their names there. `written`: those that it can write.
-    `copy`: name -> value; the copy of an allread variable is a dictionary by pid."""
-
-    history: RobotHistory
-    application: int
-    keys: Mapping[str, StoreKey]
-    written: Collection[StoreKey]
-    copy: dict[str, Any] = field(default_factory=dict)

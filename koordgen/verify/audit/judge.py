@@ -18,7 +18,7 @@ from koordgen.runtime.program.property import (
     Unknown,
     judged,
 )
-from koordgen.verify.audit.fleet_state import AuditedFleet, FleetState, SharedChange
+from koordgen.verify.audit.fleet_state import FleetState, SharedChange
 from koordgen.verify.audit.properties import GeneratedProperties
 from koordgen.verify.audit.result import (
     AFTER,
@@ -30,6 +30,7 @@ from koordgen.verify.audit.result import (
     PropertyResult,
     ValueRow,
 )
+from koordgen.verify.audit.shared_store import AuditedFleet
 
 MOST_READ = 8  # largest number of values that the report of a violation shows
 MOST_ROBOTS = 6  # largest number of robots in the table of a violation

@@ -108,15 +108,20 @@ class Stores:
         self._writes = RecordedWrites(system)
         ends = dict.fromkeys(range(len(self._instances)), 0)
         acted = dict(ends)  # instance -> last round in which the robot recorded an event of it
+        missing: dict[int, int] = {}  # instance -> first round without a record since it last rejoined
         until = float("inf")
         for line in trace.lines():
             record = line.record
             if record["kind"] in ("stream", "view"):
                 continue
             number, round_ = instances.of(line), int(record.get("round", 0))
+            if round_ > ends[number] + 1:
+                missing.setdefault(number, ends[number] + 1)
             restored = record.get("restored")
             if restored and restored["round"] != acted[number]:
-                until = min(until, restored["round"] - 1)
+                until = min(until, restored["round"] - 1, missing.get(number, round_) - 1)
+            if restored:
+                missing.pop(number, None)
             if record.get("event") is not None and not record.get("fault"):
                 acted[number] = round_
             ends[number] = max(ends[number], round_)

@@ -23,7 +23,7 @@ Record = dict[str, Any]
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run with the squad bert and two ordinary robots."""
     levels = Levels(WAVE, [0, 3, 0])
-    levels.run_rounds(8)
+    levels.run_rounds(12)
     return save(tmp_path_factory.mktemp("levels"), levels, WAVE)
 
 
