@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from koordgen.cli.base.console import Failure
 from koordgen.cli.base.traced import HOST, fleet_of
 from koordgen.lang.ir.decl import Program
-from koordgen.runtime.program.property import UNKNOWN
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit.history import FleetMission, RobotHistory, mission, of_application
 from koordgen.verify.audit.shared_store import AuditedFleet
@@ -82,7 +81,7 @@ class ComparedSquad(NamedTuple):
 
 
 def _shown(value: Any) -> str:
-    text = "nothing" if value is None or value is UNKNOWN else json.dumps(value)
+    text = "nothing" if value is None else json.dumps(value)
     return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
 
 

@@ -117,8 +117,7 @@ class SquadStates:
         """Return whether a host rejoined the squad in one of these rounds.
 
         The others may then have discarded a state that the outer robot had read. No trace has such a state."""
-        values = [self._states[k][self._record_key] for k in rounds if k in self._states]
-        hosts = {_record(value[0]).pid for value in values if value is not UNKNOWN}
+        hosts = self._hosts(rounds)
         histories = self._missions[self._host].histories
         return any(
             round_ in rounds and line.record.get("restored") is not None
@@ -126,6 +125,14 @@ class SquadStates:
             if history.pid in hosts
             for round_, line in history.rounds.items()
         )
+
+    def has_one_host(self, rounds: range) -> bool:
+        """Return whether one robot only was the host in these rounds."""
+        return len(self._hosts(rounds)) < 2
+
+    def _hosts(self, rounds: range) -> set[int]:
+        values = [self._states[k][self._record_key] for k in rounds if k in self._states]
+        return {_record(value[0]).pid for value in values if value is not UNKNOWN}
 
     def has_same_record(self, first: int, second: int) -> bool:
         """Return whether the record may be the same at the start of two rounds: it is, or one of them is unknown."""

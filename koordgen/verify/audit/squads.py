@@ -1,9 +1,11 @@
 """Comparison of an outer robot's trace with that of the squad that it is.
 
 An event of the outer robot reads sensors of a state S_k of the squad, and its commands become writes of the squad's
-host. The record in the squad's store bounds k: let w be the inner round whose writes first contain the outer event.
+host. The record in the squad's store bounds k. Let w be the inner round whose writes first contain the outer event.
 Then k is at most w. It is at least the round of the host's write before the one that contains the previous outer event,
-and at least the k of that event. A command is in the squad's store when the write of the next outer event is."""
+and at least the k of that event. In a round without an event, k lies between those of the events around it.
+
+A command is in the squad's store when the write of the next outer event is."""
 
 from __future__ import annotations
 
@@ -20,6 +22,7 @@ from koordgen.runtime.values.points import Point
 from koordgen.verify.audit.history import RobotHistory
 from koordgen.verify.audit.squad_states import NO_VALUE, SquadStates
 from koordgen.verify.replay.hosted import commanded
+from koordgen.verify.replay.store import had_frame
 from koordgen.verify.replay.trace import TraceLine
 from koordgen.verify.replay.values import BadValue, from_trace, plain
 
@@ -41,10 +44,12 @@ class LevelDifference(NamedTuple):
 
 
 class _OuterEvent(NamedTuple):
-    """Event of the outer robot, its `init` (round 0), or a new start of its agent, which restores its actuators.
+    """Event of the outer robot, its `init` (round 0), a round in which it only read its sensors, or a new start of its
+    agent, which restores its actuators.
 
     `commands`: last command of each actuator up to this event, clamped to the geofence. `own`: those of this event.
-    `written`: inner round whose writes first contain the event; None if no record of the squad shows it."""
+    `written`: inner round whose writes first contain the event; None without an event, or if no record of the squad
+    shows it."""
 
     round: int
     line: int
@@ -61,7 +66,7 @@ class SquadComparison:
 
     `program`: the outer program. `history`: of the outer robot, in the mission with the id `mission`. `geofence`: lower
     and upper corner of the outer fleet's geofence, or None.
-    `readings`: number of events whose sensors are those of the squad. `unchecked`: number of comparisons for which a
+    `readings`: number of rounds whose sensors are those of the squad. `unchecked`: number of comparisons for which a
     trace lacks values."""
 
     program: Program
@@ -102,7 +107,9 @@ class SquadComparison:
                 own = self._clamped(restored.get("actuators", {}))
                 commands = commands | own
                 yield _OuterEvent(round_, line.number, {}, own, commands, None, True)
-            if round_ and (record.get("event") is None or record.get("skipped") or record.get("fault")):
+            if round_ and (record.get("event") is None or record.get("fault")):
+                if had_frame(record):
+                    yield _OuterEvent(round_, line.number, record.get("sensors", {}), {}, commands, None, False)
                 continue
             own = self._clamped(record.get("actuators", {}))
             commands = commands | own
@@ -147,22 +154,30 @@ class SquadComparison:
 
     def _sensor_differences(self) -> Iterator[LevelDifference]:
         least, can_be_unset = self.states.first, True
-        for event in self._events:
+        for event, until in zip(self._events, self._bounds(), strict=True):
             can_be_unset = can_be_unset or event.is_start
-            if event.written is not None:
-                rounds = range(min(least, event.written), event.written + 1)
-                found = next((k for k in rounds if self._read(event, k, can_be_unset)), None)
-                if found is not None:
-                    self.readings += 1
-                elif self._is_doubtful(rounds, event.sensors):
+            rounds = range(min(least, until), until + 1)
+            found = next((k for k in rounds if self._read(event, k, can_be_unset)), None)
+            if found is None:
+                if self._is_doubtful(rounds, event.sensors, is_event=event.written is not None):
                     self.unchecked += 1
                 else:
                     yield from self._misread(event, rounds, can_be_unset)
-                least = max(least, self._before(event.written), found or 0)
             elif event.sensors:
-                self.unchecked += 1
+                self.readings += 1
+                least = max(least, found)
+            if event.written is not None:
+                least = max(least, self._before(event.written))
             if event.own and not event.is_start:
                 can_be_unset = False
+
+    def _bounds(self) -> list[int]:
+        """Return for each event the last k of which it can have read S_k."""
+        until, found = self.states.last, list[int]()
+        for event in reversed(self._events):
+            until = until if event.written is None else event.written
+            found.append(until)
+        return found[::-1]
 
     def _read(self, event: _OuterEvent, k: int, can_be_unset: bool) -> bool:
         """Return whether the sensors of an outer event are those of the state S_k."""
@@ -262,7 +277,9 @@ class SquadComparison:
         values = [] if sensor is None else [self.states.sensor(k, sensor) for k in rounds]
         return any(each is not UNKNOWN and each == value for each in values)
 
-    def _is_doubtful(self, rounds: range, sensors: Iterable[str]) -> bool:
-        """Return whether the outer robot may have read these sensors in a state that no trace has."""
+    def _is_doubtful(self, rounds: range, sensors: Iterable[str], is_event: bool = True) -> bool:
+        """Return whether the outer robot may have read these sensors in a state that no trace has.
+
+        `is_event`: the state led to an event that the squad has recorded, so a host that died did not discard it."""
         is_unknown = any(self.states.sensor(k, name) is UNKNOWN for k in rounds for name in sensors)
-        return is_unknown or self.states.has_rejoined_host(rounds)
+        return is_unknown or self.states.has_rejoined_host(rounds) or not (is_event or self.states.has_one_host(rounds))

@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from tests.squads.levels import WAVE
+from tests.squads.levels import WAVE, Levels
 from tests.squads.saved import save
+from tests.squads.test_hosts import LINE
 from tests.squads.test_kills import killed
 from tests.verify.replay.test_squads import Record, changed, flown, run
 
@@ -87,6 +88,27 @@ def test_a_changed_value_of_the_outer_robot_is_reported_with_both_places(
     assert re.search(found, text) and what in text, text
     assert main(["replay", str(run)]) == 3
     assert what in capsys.readouterr().err
+
+
+def test_what_an_outer_robot_read_without_an_event_is_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    levels = Levels(LINE, [3, 0, 0])
+    levels.run_rounds(6)
+    folder = save(tmp_path, levels, LINE)
+    assert main(["audit", str(folder)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r": [67] readings and 0 commands of alice", text) and "no differences from the squad" in text
+
+    def moves(record: Record) -> bool:
+        found = record["kind"] == "round" and record["pid"] == 0 and record["round"] == 3
+        if found:
+            record["sensors"]["Motion.position"] = [1.0, 2.0, 3.0]
+        return found
+
+    changed(folder / "trace.jsonl", moves)
+    assert main(["audit", str(folder)]) == 3
+    assert "round 3, robot alice: Motion.position is [1.0, 2.0, 3.0]" in capsys.readouterr().out
 
 
 def test_a_sensor_that_no_command_cleared_is_not_true_before_it_is_reached(
