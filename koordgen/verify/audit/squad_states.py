@@ -7,7 +7,7 @@ traces need no common clock."""
 from __future__ import annotations
 
 from base64 import b64decode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -105,13 +105,31 @@ class SquadStates:
 
         `mission`: id of the outer mission, "" if unknown: records of other missions are left out."""
         found: dict[int, int] = {}
+        for round_, record in self._records(mission):
+            for each in record.locals:
+                found.setdefault(each.round, round_)
+        return found
+
+    def applied(self, mission: str) -> list[tuple[int, int]]:
+        """Return pairs (outer round, inner round), ascending: the outer robot had applied the outer round before the
+        writes of the inner round. `mission`: see first_writes."""
+        found: list[tuple[int, int]] = []
+        for round_, record in self._records(mission):
+            applied = -1 if record.acceptor is None else record.acceptor.applied
+            if not found or applied > found[-1][0]:
+                found.append((applied, round_))
+        return found
+
+    def _records(self, mission: str) -> Iterator[tuple[int, HostRecord]]:
+        """Yield the record after each round in which it is known and changed."""
+        before = None
         for round_ in range(self.first, self.last):
             value = self._states[round_ + 1][self._record_key]
-            record = HostRecord() if value is UNKNOWN else _record(value[0])
+            if value is UNKNOWN or value == before:
+                continue
+            before, record = value, _record(value[0])
             if not mission or (record.mission is not None and record.mission.epoch.hex() == mission):
-                for each in record.locals:
-                    found.setdefault(each.round, round_)
-        return found
+                yield round_, record
 
     def has_rejoined_host(self, rounds: range) -> bool:
         """Return whether a host rejoined the squad in one of these rounds.

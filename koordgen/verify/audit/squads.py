@@ -3,7 +3,8 @@
 An event of the outer robot reads sensors of a state S_k of the squad, and its commands become writes of the squad's
 host. The record in the squad's store bounds k. Let w be the inner round whose writes first contain the outer event.
 Then k is at most w. It is at least the round of the host's write before the one that contains the previous outer event,
-and at least the k of that event. In a round without an event, k lies between those of the events around it.
+and at least the k of that event. The record also has the last outer round that the outer robot has applied, which
+bounds k from above in a round without an event.
 
 A command is in the squad's store when the write of the next outer event is."""
 
@@ -173,9 +174,12 @@ class SquadComparison:
 
     def _bounds(self) -> list[int]:
         """Return for each event the last k of which it can have read S_k."""
+        applied = self.states.applied(self.mission)
         until, found = self.states.last, list[int]()
         for event in reversed(self._events):
-            until = until if event.written is None else event.written
+            after = bisect_left(applied, (event.round, 0))
+            bounds = [event.written] if event.written is not None else [each for _, each in applied[after : after + 1]]
+            until = min([until, *bounds])
             found.append(until)
         return found[::-1]
 
