@@ -191,7 +191,9 @@ def _start_noise(bundle: Mapping[str, bytes]) -> float:
 def _hashes(bundle: Mapping[str, bytes]) -> dict[str, str]:
     """Return the hash of the program under the name "", and that of each squad's programs under the squad's name."""
     scenario = _scenario(bundle)
-    return {"": scenario.get("program_hash", "")} | {each["name"]: each["program_hash"] for each in scenario.get("fleets", ())}
+    return {"": scenario.get("program_hash", "")} | {
+        each["name"]: each["program_hash"] for each in scenario.get("fleets", ())
+    }
 
 
 def _scenario(bundle: Mapping[str, bytes]) -> dict[str, Any]:

@@ -104,7 +104,7 @@ def test_what_an_outer_robot_read_without_an_event_is_compared(
         found = record["kind"] == "round" and record["pid"] == 0 and record["round"] == 3
         if found:
             record["sensors"]["Motion.position"] = [1.0, 2.0, 3.0]
-        return found
+        return bool(found)
 
     changed(folder / "trace.jsonl", moves)
     assert main(["audit", str(folder)]) == 3
