@@ -28,7 +28,7 @@ def save(folder: Path, levels: Levels, text: str) -> Path:
             members = tuple(range(size))
             robots = tuple([RobotName(NAMES[p], p, "fake") for p in members])
             composition = (
-                ApplicationRecord("triangle", members, {v: f"triangle.{v}" for v in ("goal", "turns", "corner")}),
+                ApplicationRecord("triangle", members, {v: f"triangle.{v}" for v in ("goal", "corner")}),
                 ApplicationRecord("outer", members, {"goal": "triangle.goal"}),
             )
             names = ("triangle", "outer")

@@ -102,6 +102,34 @@ def test_each_trace_is_replayed_and_audited_by_its_own_program(run: Path, fleet:
     assert main(["audit", str(run / fleet)]) == 0
 
 
+def test_the_two_levels_of_a_run_agree(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(run)]) == 0
+    text = capsys.readouterr().out
+    found = re.findall(r"/(\w+)/trace.jsonl: (\d+) readings and (\d+) commands of \w+: no differences", text)
+    assert [name for name, _, _ in found] == ["alpha", "beta"]
+    assert all(int(readings) > 12 for _, readings, _ in found) and int(found[1][2]) > 8, "beta commands, alpha does not"
+
+
+def test_the_trace_of_one_robot_of_a_squad_is_replayed(
+    bundle: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The hash in it covers the programs of both levels. They come from the run's folder or from options."""
+    trace = run / "robots" / "alpha.ann" / "trace.jsonl"
+    assert main(["replay", str(trace)]) == 0
+    robots = [str(run / "robots" / name) for name in ("alpha.ann", "alpha.bob", "alpha.cyd")]
+    assert main(["audit", *robots]) == 0
+    alone = Path(shutil.copy(trace, tmp_path / "ann.jsonl"))
+    fleet = bundle.parents[2] / "alpha.yaml"
+    capsys.readouterr()
+    assert main(["replay", str(alone), "--fleet", str(fleet)]) == 2
+    assert "name the outer program with --program" in capsys.readouterr().err
+    assert main(["replay", str(alone), "--fleet", str(fleet), "--program", str(LINEFORM)]) == 0
+    other = tmp_path / "other.koord"
+    other.write_text(LINEFORM.read_text() + "invariant Other: forall i in ID: x[i].z < 100\n")
+    assert main(["replay", str(alone), "--fleet", str(fleet), "--program", str(other)]) == 1
+    assert "programs with the hash" in capsys.readouterr().err
+
+
 def test_a_replay_finds_a_command_that_no_host_wrote(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

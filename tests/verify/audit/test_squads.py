@@ -101,10 +101,10 @@ def test_what_an_outer_robot_read_without_an_event_is_compared(
     assert re.search(r": [67] readings and 0 commands of alice", text) and "no differences from the squad" in text
 
     def moves(record: Record) -> bool:
-        found: bool = record["kind"] == "round" and record["pid"] == 0 and record["round"] == 3
+        found = record["kind"] == "round" and record["pid"] == 0 and record["round"] == 3
         if found:
             record["sensors"]["Motion.position"] = [1.0, 2.0, 3.0]
-        return found
+        return bool(found)
 
     changed(folder / "trace.jsonl", moves)
     assert main(["audit", str(folder)]) == 3

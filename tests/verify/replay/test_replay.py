@@ -184,6 +184,20 @@ def test_robots_that_die_and_come_back_and_bad_networks_are_replayed(tmp_path: P
     assert replay(folder / "robots/bert/trace.jsonl") == 0
 
 
+def test_several_events_that_a_dead_robot_did_not_record_are_no_difference(tmp_path: Path) -> None:
+    """A robot died before it recorded rounds 5 and 6. It rejoined after its event of round 6, which counted."""
+    text = "allread: int x[N_SYS]\nlocal: int k\nGo:\n  pre: True\n  eff:\n    k += 1\n    x[pid] = k\n"
+    trace = Run(tmp_path, text).run(2.5).save() / "trace.jsonl"
+    records = [json.loads(line) for line in trace.read_text().splitlines()]
+    own = {r["round"]: r for r in records if r["kind"] == "round" and r["pid"] == 0}
+    assert max(own) > 9 and [own[r]["locals"]["k"] for r in (6, 7)] == [6, 7]
+    own[7]["restored"] = {"round": 6, "locals": {"k": 6}, "actuators": {}}
+    own[7]["copy"] = {"x": {"0": 6, "1": 6, "2": 6}}
+    kept = [r for r in records if r is not own[5] and r is not own[6]]
+    trace.write_text("".join(f"{json.dumps(r)}\n" for r in kept))
+    assert replay(tmp_path) == 0
+
+
 def test_robots_that_do_not_agree_who_counts_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = example(tmp_path, "lineform", n=3).run(1.0)
     run.fleet.network._queues.pop(1, None)
