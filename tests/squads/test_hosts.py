@@ -48,6 +48,16 @@ def test_an_order_to_stop_in_the_outer_fleet_stops_the_inner_robots() -> None:
     assert any("error: bert: the outer robot stops safely" in line for line in lines)
 
 
+def test_a_stop_of_a_squads_own_robots_does_not_stop_the_outer_fleet() -> None:
+    levels = Levels(LINE, [0, 3, 0], timeout=4)
+    levels.run_rounds(4)
+    levels.nodes[2].agent.stop_all("emergency stop")
+    assert levels.run(20.0, lambda: all(levels.nodes[place].agent.phase == "stopped" for place in levels.places(1)))
+    levels.run(4.0)
+    assert {levels.nodes[place].agent.phase for place in (0, 4)} == {"running"}
+    assert any("bert does not count" in line for line in levels.nodes[0].lines), levels.nodes[0].lines[-3:]
+
+
 COUNT = """
 using Motion:
   sensors: Point position
