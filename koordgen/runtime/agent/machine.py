@@ -426,7 +426,8 @@ class Agent:
             body.command(done.actuators, now)
             life = Life(0, done.locals, instance.actuators(body.actuators), done.stopped)
             lives.append(life)
-            self._journal.init(frame.sensors, done, life, calls, now, instance.application)
+            # The time of the record is read here: `now`, when the poll began, may be earlier than the phase `starting`.
+            self._journal.init(frame.sensors, done, life, calls, self._clock.now(), instance.application)
             self.monitors.ran(place, done, None, 0, now)
         self._init = tuple(lives)
         self._joining.ready(result)

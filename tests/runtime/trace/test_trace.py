@@ -8,8 +8,10 @@ from typing import Any
 import msgspec
 import pytest
 
-from benchmarks.fixtures.fleet import Fleet, Robot
+from benchmarks.fixtures.fleet import FakePlatform, Fleet, Robot
 from koordgen.runtime.net.network import Conditions
+from koordgen.runtime.values.clock import SimulatedClock
+from koordgen.runtime.values.points import Point
 from tests.runtime.replication.test_restarts import ENDLESS, SOON, kill
 
 
@@ -77,3 +79,22 @@ def test_init_and_the_view_are_told() -> None:
     assert init["shared"] == {"x": [-3.0, 2.5, 0.0], "last": 1} and init["locals"] == {"count": 0}
     assert init["actuators"] == {"Motion.target": [-3.0, 2.5, 0.0]} and not init["stopped"]
     assert [(v["number"], v["since"], v["members"]) for v in robot.trace("view")] == [(0, 1, [0, 0, 0])]
+
+
+class TickingClock(SimulatedClock):
+    """Clock of a real computer: it goes on while an agent works."""
+
+    ticks = 0.0
+
+    def now(self) -> float:
+        self.ticks += 1e-6
+        return super().now() + self.ticks
+
+
+def test_init_is_recorded_after_the_phase_in_which_it_runs() -> None:
+    """A merged trace is sorted by time, and each process in it begins with the phase `starting`."""
+    fleet = Fleet(n=1, clocks=lambda _, base: TickingClock(base))
+    robot = fleet.boot(0, FakePlatform(Point(0, 0, 0), ready_after=0.0))
+    fleet.run(1)
+    times = [record["time"] for record in robot.lines_of("phase", "init")]
+    assert times == sorted(times) and len(times) > 3
