@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from collections.abc import Sequence as Several
-from hashlib import blake2s
 
 from koordgen.build.composition import ApplicationProgram
 from koordgen.fleet.address import Address, control_port, outer_port
@@ -28,11 +27,6 @@ LEAST_ROUNDS = 3  # inner rounds in an outer one: an inner commit takes two, and
 _KINDS = {"sensor": "a sensor", "actuator": "an actuator", "callable": "a callable port", "stream": "a stream"}
 
 Found = Iterator[tuple[Source, Diagnostic]]
-
-
-def joined_hash(inner: str, outer: str) -> str:
-    """Return the hash of the programs of both levels; equal to that of koordgen/runtime/agent/squad.py (tested)."""
-    return blake2s(f"{inner} {outer}".encode(), digest_size=8).hexdigest()
 
 
 class InnerLevel(Node):

@@ -15,12 +15,12 @@ from koordgen.build.bundle.functions import functions_file
 from koordgen.build.bundle.plan import COMPOSITION, PARAMS, SOURCE, store_facts
 from koordgen.build.emit.program import program_hash
 from koordgen.build.pipeline import Rejected, check_file
-from koordgen.build.squads import joined_hash
 from koordgen.fleet.file import Fleet
 from koordgen.lang.analyze.params import BadParam, with_params
 from koordgen.runtime.trace.schema import FORMAT, BadTrace
 from koordgen.verify.audit.history import FleetMission, mission
 from koordgen.verify.audit.trace_files import read_trace_file, trace_files
+from koordgen.verify.replay.hosted import joined_hash
 
 ROBOTS, TRACE = "robots", "trace.jsonl"
 SQUAD = "squad"  # target of a robot that is a squad, in a trace; equal to that of simulated runs (tested)

@@ -113,6 +113,18 @@ def test_all_records_stand_in_the_order_of_fleet_time(folder: Path) -> None:
     assert len(views) == len(set(views)), "what later parts repeat stands there once"
 
 
+def test_init_stays_behind_the_start_of_its_agent(folder: Path) -> None:
+    """An agent whose vehicle is ready at once runs `init` on sensors that are older than the record of its start."""
+    path = min((folder / "robots/alice").glob("*.jsonl"), key=lambda path: b'"init"' not in path.read_bytes())
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    first = min(each["time"] for each in lines if "time" in each)
+    next(each for each in lines if each["kind"] == "init")["time"] = first - 0.001
+    path.write_text("".join(json.dumps(each) + "\n" for each in lines))
+    merged(folder)
+    kinds = [each["kind"] for each in merged(folder) if each.get("pid") == 0 and each["kind"] in ("phase", "init")]
+    assert kinds[:2] == ["phase", "phase"] and "init" in kinds
+
+
 def test_all_readers_take_the_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     merged(folder)
     assert cli.main(["replay", str(folder)]) == 0

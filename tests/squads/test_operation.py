@@ -17,7 +17,6 @@ import pytest
 
 from benchmarks.fixtures.deployed import place
 from benchmarks.fixtures.ssh_hosts import ssh_fleet
-from koordgen.build.squads import joined_hash
 from koordgen.cli import main
 from koordgen.cli.operate.ssh import chosen_robots, fleet_hosts, read_fleet
 from koordgen.operate import basestation, estop, run_folder, run_levels
@@ -27,7 +26,6 @@ from koordgen.operate.host_tool import folder
 from koordgen.operate.release import Fleetwide, key_id, release_id
 from koordgen.operate.run_levels import join_hosts
 from koordgen.operate.status import StatusAnswer, squads_of, table, to_json
-from koordgen.runtime.agent import squad
 from koordgen.runtime.trace.schema import FORMAT, Round
 from koordgen.runtime.vehicle.feed import Feed
 from koordgen.verify.audit.history import mission
@@ -163,10 +161,6 @@ def answer(name: str, outer: dict[str, Any] | None = None) -> StatusAnswer:
         "monitors": {"violated": []}, "robot": name.rpartition(".")[2],
     }  # fmt: skip
     return StatusAnswer(Place(name, "h", 1), report if outer is None else {**report, "outer": outer}, 0.1, "")
-
-
-def test_the_hash_of_both_levels_is_the_runtimes() -> None:
-    assert joined_hash("ab", "cd") == squad.joined_hash("ab", "cd") != joined_hash("cd", "ab")
 
 
 def test_status_shows_a_squad_above_its_robots() -> None:

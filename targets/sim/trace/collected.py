@@ -120,8 +120,10 @@ def _index_records(files: Sequence[Path], delta: float) -> tuple[list[_Place], l
                     continue
                 if line.startswith(_AGAIN):
                     seen.add(line)
-                places.append(_Place(time, number, offset))
                 record = decoded(line)
+                if isinstance(record, InitRecord) and places and places[-1].file == number:
+                    time = max(time, places[-1].time)  # its time is that of its sensors, before the phases before it
+                places.append(_Place(time, number, offset))
                 if isinstance(record, Round):
                     clock.round(record, delta)
         clocks.append(clock or (clocks[-1] if clocks else clock))

@@ -248,3 +248,9 @@ def test_the_outer_robot_that_a_fleet_is(bundles: list[Path], capsys: pytest.Cap
         taken.bind(("127.0.0.1", peers[1]["port"]))
         done, checks = found()
     assert done == 5 and "in use" in checks["outer port"]["found"]
+
+    (overlay := bundles[1].parent / "overlay").mkdir()
+    for name, text in (("settings.json", "{}"), ("outer.json", '{"delta": 0.7}')):
+        (overlay / name).write_text(text)
+    agent.main(PROGRAM, body, bundles[1], ["--doctor", "--settings", str(overlay / "settings.json")], squad=squad)
+    assert "delta 0.7 s" in capsys.readouterr().out, "settings of the outer robot are overridden beside those given"
