@@ -126,7 +126,7 @@ def _outer_settings(program: Program, fleet: Fleet, squad: SquadIngredients, rob
     own = {"name": outer.name, "host": host, "port": port}
     safety = {
         **found["safety"],
-        "position_stale": found["safety"]["position_stale"] + 2 * squad.inner.fleet.delta,  # a commit takes two rounds
+        "position_stale": found["safety"]["position_stale"] + 3 * squad.inner.fleet.delta,  # until it is committed
         "position_lost": NEVER_LOST,
     }
     peers = [own if place == outer.pid else peer for place, peer in enumerate(found["peers"])]

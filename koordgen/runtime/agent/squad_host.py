@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import traceback
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from hashlib import blake2s
@@ -28,6 +29,7 @@ from koordgen.runtime.ops.journal import Emit
 from koordgen.runtime.program.fleet_program import FleetProgram
 from koordgen.runtime.program.program import Transaction
 from koordgen.runtime.program.runner import Limit, unlimited
+from koordgen.runtime.replication.apply import Store
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import Observe, Trace
 from koordgen.runtime.values.clock import Clock
@@ -78,6 +80,7 @@ class SquadHost:
         self._platform: SquadPlatform | None = None
         self._over = False  # the outer robot has ended
         self._trace: Trace | None = None
+        self._stores: deque[tuple[int, Store]] = deque()  # last round in a store, and the store: see _committed_store
         self._known: tuple[Any, HostRecord] = None, HostRecord()
 
     def attach(self, inner: Agent) -> None:
@@ -159,6 +162,9 @@ class SquadHost:
             return math.inf
 
     def _poll(self, now: float) -> float:
+        state = self._state()
+        if state is not None:
+            self._committed_store(state)
         if self.outer is not None and self._is_replaced():
             self._drop()
         if self.outer is None:
@@ -240,9 +246,24 @@ class SquadHost:
 
     def values(self) -> tuple[Mapping[str, Any], float]:
         state, inner = self._state(), self._inner
-        if state is None or inner is None:
+        found = None if state is None else self._committed_store(state)
+        if found is None or inner is None:
             return dict.fromkeys(self.squad.sensors), -math.inf
-        return self._sensors.of(state.shared), inner.began(state.applied)
+        applied, store = found
+        return self._sensors.of(store), inner.began(applied)
+
+    def _committed_store(self, state: StateMachine) -> tuple[int, Store] | None:
+        """Return the newest committed store that this robot has seen, and the last round in it; None without one.
+
+        The store of a round that is not committed may be discarded by a view change, so the outer robot reads none."""
+        stores = self._stores
+        while stores and stores[-1][0] >= state.applied and stores[-1][1] is not state.shared:
+            stores.pop()
+        if not stores or stores[-1][0] < state.applied:
+            stores.append((state.applied, state.shared))
+        while len(stores) > 1 and stores[1][0] <= state.committed:
+            stores.popleft()
+        return stores[0] if stores[0][0] <= state.committed else None
 
     def trouble(self) -> str:
         state, inner = self._state(), self._inner

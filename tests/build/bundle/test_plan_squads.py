@@ -64,7 +64,7 @@ def test_settings_of_both_levels(tmp_path: Path) -> None:
     assert [(p.name, p.port, [a.port for a in p.also]) for p in outer.peers] == [
         ("alpha", 49201, []), ("dora", 47100, []), ("beta", 49300, [49301, 49302]),
     ]  # fmt: skip
-    assert (outer.safety.position_stale, outer.safety.position_lost) == (0.5 + 2 * 0.1, 10000.0)
+    assert (outer.safety.position_stale, outer.safety.position_lost) == (0.5 + 3 * 0.1, 10000.0)
     assert inner.safety.position_lost == 2.0 and outer.body == {} and inner.body != {}
     dora = settings(bundles["dora"])
     assert [[a.port for a in peer.also] for peer in dora.peers] == [[49201, 49202], [], [49301, 49302]]
