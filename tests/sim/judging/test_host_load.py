@@ -75,7 +75,7 @@ def test_an_event_that_hosts_a_squad_has_a_small_part_of_the_time(host: Host) ->
     host.agents[0].robot.name = "alpha.ann"
     fault = EventFault("a.koord", 0, LATE)
     host.passes(1.0)
-    host.passes(0.2, ann=0.004)
+    host.passes(0.2, ann=0.02)
     for application, robot in (("triangle", "alpha.ann"), ("outer", "alpha.ann"), ("outer", "bob")):
         record = Round(3, fault=fault, time=ZERO + 1.0, late=0.0, application=application)
         agent = host.agents[robot == "bob"]
