@@ -137,6 +137,7 @@ def test_prove_ends(name: str, tmp_path: Path) -> None:
     "name",
     slowly(
         ["long range", "nested loops", "squares in a loop", "a loop of calls", "init"],
+        "long range",
         "nested loops",
         "a loop of calls",
     ),
@@ -165,6 +166,7 @@ invariant Wrong: forall i in ID: len(xs[i]) < 5
 )
 
 
+@pytest.mark.slow
 def test_prove_decides_what_does_not_depend_on_an_event_that_is_too_large(tmp_path: Path) -> None:
     done = ran(tmp_path, LARGE, "prove", "--format", "json", "--attack", "0", "--emit", str(tmp_path / "smt"))
     found = {each["name"]: each for each in json.loads(done.stdout)["invariants"]}

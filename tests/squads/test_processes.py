@@ -130,6 +130,7 @@ def survives(processes: Processes, kills: int, seed: int) -> None:
         assert values == sorted(set(values)), (squad, values)
 
 
+@pytest.mark.slow
 def test_an_outer_fleet_of_processes_survives_the_loss_of_a_host_and_is_stopped(
     tmp_path: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -170,7 +170,7 @@ def test_signals_for_the_agent_do_not_end_it(line: Line, agent: Agent) -> None:
     assert line.braked_after_driving() < 0.2
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSTOP, marks=pytest.mark.slow)])
 def test_a_watchdog_that_dies_or_hangs_is_told_and_replaced(line: Line, agent: Agent, number: signal.Signals) -> None:
     agent.drive(line, 1.1)  # two are not begun within a second
     first = agent.dog.pid
@@ -235,7 +235,7 @@ time.sleep(60)
 @pytest.mark.parametrize(
     "how",
     [
-        "loop",
+        pytest.param("loop", marks=pytest.mark.slow),
         "stop",
         "kill",
         pytest.param("gil", marks=pytest.mark.slow),

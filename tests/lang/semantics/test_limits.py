@@ -69,6 +69,7 @@ def test_a_guard_and_a_formula_have_the_deadline_too() -> None:
         holds_property(found.properties[0], found, state)
 
 
+@pytest.mark.slow
 def test_a_formula_over_more_than_a_million_numbers_has_no_value() -> None:
     found = compiled(program("    k = 1") + "invariant Far: forall n in range(1000001): n >= 0\n")
     with pytest.raises(Discarded, match="not finished"):

@@ -83,6 +83,7 @@ def test_the_compiled_modules_pass_the_tests_of_whole_fleets() -> None:
     passes(MORE_TESTS)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_library_is_used_for_exactly_its_sources(robot: Path) -> None:
     assert run(robot, "use") == "", "nothing was compiled yet"
@@ -101,6 +102,7 @@ def test_a_library_is_used_for_exactly_its_sources(robot: Path) -> None:
     assert not library.exists()
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_what_cannot_be_compiled_is_an_error_with_its_reason(robot: Path) -> None:
     seal = robot / "koordgen/runtime/net/seal.py"

@@ -162,6 +162,7 @@ def test_a_process_that_shares_a_core_waits_for_it() -> None:
             each.wait()
 
 
+@pytest.mark.slow
 def test_a_run_whose_agents_had_no_core_has_its_own_status(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

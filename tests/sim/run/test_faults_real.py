@@ -56,6 +56,7 @@ def test_a_crashed_robot_comes_back_and_a_frozen_one_goes_on(tmp_path: Path) -> 
     assert no_process_left(root)
 
 
+@pytest.mark.slow
 def test_all_robots_may_be_gone_for_a_while(tmp_path: Path) -> None:
     root, out = bundle(tmp_path / "sim", ["good"]), tmp_path / "out"
     told = scenario(tmp_path, events=[{"at": 0.3, "for": 0.3, "crash": "r0"}])
