@@ -373,7 +373,7 @@ def test_squads_are_deployed_and_their_traces_collected(
     header, records = read(run / "trace.jsonl")
     assert [(r.name, r.target) for r in header.robots] == [("alpha", "squad"), ("dora", "car"), ("beta", "squad")]
     counted = [int(bytes(r.locals["k"])) for r in records if isinstance(r, Round) and r.pid == 0 and r.event]
-    assert counted == sorted(set(counted)) and len(counted) > 4
+    assert counted == sorted(set(counted)) and len(counted) > 3, "three before the death of the host, and one after it"
     header, records = read(run / "alpha/trace.jsonl")
     assert [r.name for r in header.robots] == ["ann", "bob", "cyd"] and header.applications == ("triangle", "outer")
     assert {r.application for r in records if isinstance(r, Round)} == {"triangle", "outer"}
