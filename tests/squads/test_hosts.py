@@ -48,14 +48,25 @@ def test_an_order_to_stop_in_the_outer_fleet_stops_the_inner_robots() -> None:
     assert any("error: bert: the outer robot stops safely" in line for line in lines)
 
 
-def test_a_stop_of_a_squads_own_robots_does_not_stop_the_outer_fleet() -> None:
-    levels = Levels(LINE, [0, 3, 0], timeout=4)
+@pytest.mark.parametrize("stopped", [1, 2])
+def test_an_emergency_stop_of_a_robot_of_a_squad_stops_the_robots_of_all_levels(stopped: int) -> None:
+    levels = Levels(LINE, [0, 3, 3], 1, LOSSY)
     levels.run_rounds(4)
-    levels.nodes[2].agent.stop_all("emergency stop")
-    assert levels.run(20.0, lambda: all(levels.nodes[place].agent.phase == "stopped" for place in levels.places(1)))
-    levels.run(4.0)
-    assert {levels.nodes[place].agent.phase for place in (0, 4)} == {"running"}
-    assert any("bert does not count" in line for line in levels.nodes[0].lines), levels.nodes[0].lines[-3:]
+    levels.nodes[stopped].agent.stop_all("emergency stop")
+    assert levels.run(20.0, lambda: all(node.agent.phase == "stopped" for node in levels.nodes.values())), {
+        place: node.agent.phase for place, node in levels.nodes.items()
+    }
+    assert any("error: emergency stop of its robots" in line for line in levels.nodes[1].lines)
+    assert not any("does not count" in line for line in levels.nodes[0].lines), "it was told, it did not conclude"
+
+
+def test_the_safe_stop_of_one_inner_robot_stops_nobody_else() -> None:
+    levels = Levels(LINE, [0, 3, 0], 1, LOSSY)
+    levels.run_rounds(4)
+    levels.nodes[1].agent.end("SIGTERM: stopping safely")
+    assert levels.run(20.0, lambda: levels.nodes[1].agent.phase == "stopped" and levels.host(1) is levels.nodes[2])
+    levels.run_rounds(20)
+    assert {levels.nodes[place].agent.phase for place in (0, 2, 3, 4)} == {"running"}
 
 
 COUNT = """

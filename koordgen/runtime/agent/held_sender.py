@@ -5,6 +5,7 @@ of another fleet, that takes a while. Messages are made when they leave, so thei
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
@@ -51,6 +52,10 @@ class HeldSender:
             send()
         else:
             self._held.append((needed, self._sender.epoch, send))
+
+    def hold_nothing(self) -> None:
+        """Send all messages at once from now on. The caller ends the mission, so nothing depends on them any more."""
+        self.release(sys.maxsize)
 
     def release(self, committed: int) -> None:
         """Send the messages that depend on this version or an earlier one.

@@ -147,6 +147,11 @@ class Agent:
         """This robot's copy of the shared store; None before round 1, and during a rejoin after a restart."""
         return None if self._driver is None or self._rounds is None else self._driver.replica.state
 
+    @property
+    def has_emergency(self) -> bool:
+        """True once this robot knows of an emergency stop of its fleet."""
+        return self._driver is not None and self._driver.replica.emergency
+
     def began(self, round_: int) -> float:
         """Return the local time (s) at which a round began or will begin. Call this only after round 1 began."""
         return math.inf if self._rounds is None else self._rounds.began(round_)

@@ -37,7 +37,7 @@ from koordgen.runtime.vehicle.drivers import Drivers
 
 RECEIVE_EVERY = 0.01  # seconds between two polls of the outer agent: the process waits at the inner socket only
 LATE = 3  # rounds by which the inner store may lag behind before the outer robot counts as not ready
-LONGEST_EVENT = 0.2  # largest duration of an event of the outer program, in rounds of the inner fleet
+LONGEST_EVENT = 0.2  # rounds of the inner fleet; time limit of an event of the outer program
 
 
 class HostSurroundings(NamedTuple):
@@ -149,7 +149,7 @@ class SquadHost:
     # The outer agent.
 
     def poll(self, now: float) -> float:
-        """Do all work that is due at local time `now`. Return the latest local time for the next call.
+        """Poll the outer agent at local time `now` (s). Return the local time by which to call again.
 
         Never raises: after an error all inner robots stop safely."""
         try:
@@ -165,7 +165,9 @@ class SquadHost:
         state = self._state()
         if state is not None:
             self._committed_store(state)
-        if self.outer is not None and self._is_replaced():
+        if self.outer is not None and self._inner is not None and self._inner.has_emergency:
+            self._spread_stop(self.outer)
+        elif self.outer is not None and self._is_replaced():
             self._drop()
         if self.outer is None:
             self.around.transport.receive()  # datagrams to the squad are for its host
@@ -175,6 +177,15 @@ class SquadHost:
             self._over = True
             self._drop()
         return min(wake, now + RECEIVE_EVERY) if self.around.polls else wake
+
+    def _spread_stop(self, outer: Agent) -> None:
+        """Announce an emergency stop of the inner fleet to the outer one, unless the outer robot itself stops.
+
+        The inner robots commit nothing any more, so the messages must not wait for that. The outer agent stays until
+        this robot's process ends, because it repeats the announcement."""
+        if outer.phase == "running" and self._sender is not None:
+            self._sender.hold_nothing()
+            outer.stop_all("emergency stop of its robots")
 
     def _begin(self, record: HostRecord) -> None:
         """Start the outer agent with the checkpoint of a record that this robot has claimed."""
@@ -273,7 +284,7 @@ class SquadHost:
         return f"the inner fleet is {lag} rounds behind: {inner.hindrance}" if lag > LATE else ""
 
     def stop(self, why: str) -> None:
-        if self._inner is not None:
+        if self._inner is not None and not self._inner.has_emergency:
             self._inner.stop_all(f"{self.around.settings.robot}: {why}")
 
     @property
