@@ -207,7 +207,7 @@ def plan_file(
 def _plan_squads(
     these: Ingredients, source: Source, inner: tuple[CheckedSystem, ...], wanted: Collection[str]
 ) -> tuple[list[tuple[Source, Diagnostic]], dict[str, Files]]:
-    """Plan the bundles of an outer fleet with squads. Return warnings and notes about the inner fleets, too.
+    """Return warnings and notes about the inner fleets, and the bundles of an outer fleet with squads.
 
     `these`: of the outer program. `source`: the outer fleet file. `inner`: the fleet of each squad. Raises Rejected.
     """
@@ -300,7 +300,7 @@ def read_fleet(
 def read_levels(
     path: str, targets: Mapping[str, Target], program: Program | None, program_path: str, squads: bool
 ) -> tuple[Fleet, tuple[CheckedSystem, ...]]:
-    """Read a fleet file, and those of its squads. Return the inner fleets in the order of the squads, too.
+    """Return the fleet of a fleet file, and the inner fleets of its squads in their order.
 
     Parameters: see read_fleet. Raises Rejected, ManifestError.
     """
@@ -485,7 +485,7 @@ def plan_fleet_file(
 def _system_ingredients(
     checked: CheckedSystem, used: tuple[Target, ...], outer: tuple[Source, System] | None = None
 ) -> tuple[list[tuple[Source, Diagnostic]], SystemIngredients]:
-    """Read the files of a fleet with `applications`. Return warnings and notes, too.
+    """Return warnings and notes, and the ingredients of a fleet with `applications`.
 
     `used`: the targets to build for. `outer`: for the fleet of a squad, the outer fleet file, and the system with the
     application of the outer program. Raises Rejected, ManifestError.

@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator
 from collections.abc import Sequence as Several
 
+from koordgen.build.bundle.squad_budget import OUTER
 from koordgen.build.composition import ApplicationProgram
 from koordgen.fleet.address import Address, control_port, outer_port
 from koordgen.fleet.applications import MOST_INSTANCES
@@ -22,7 +23,6 @@ from koordgen.lang.ir.types import ExternType, MapOf, RecordType, Sequence, Tupl
 from koordgen.lang.node import Node, replace
 from koordgen.lang.source import Source, Span
 
-OUTER = "outer"  # name of the built-in application of an inner fleet, through which the outer program commands it
 LEAST_ROUNDS = 3  # inner rounds in an outer one: an inner commit takes two, and an outer event waits for one
 _KINDS = {"sensor": "a sensor", "actuator": "an actuator", "callable": "a callable port", "stream": "a stream"}
 
@@ -237,7 +237,7 @@ def _spelled(type_: Type) -> str:
 
 
 def _has_class(type_: Type) -> bool:
-    """Return whether values of a type need a class that each generated program defines for itself."""
+    """Return whether each generated program has a class of its own for values of this type."""
     match type_:
         case RecordType() | ExternType():
             return True

@@ -67,7 +67,7 @@ def read_robots(reader: YamlReader, node: YamlNode | None, targets: Mapping[str,
 def _robot(
     reader: YamlReader, entry: YamlNode, pid: int, targets: Mapping[str, Target], known: NameChecks
 ) -> tuple[FleetRobot, dict[str, YamlNode]]:
-    """Read a robot with a target. Return its keys, too."""
+    """Return a robot with a target, and the keys of its entry."""
     what, harnesses = f"robot {pid}", _harnesses(targets)
     keys = reader.table(entry, what, ["name", "target", "address"], [*_OPTIONAL, *harnesses])
     name = _name(reader, keys.get("name"), targets)
@@ -86,7 +86,7 @@ def _robot(
 def _squad(
     reader: YamlReader, entry: YamlNode, pid: int, targets: Mapping[str, Target]
 ) -> tuple[FleetRobot, dict[str, YamlNode]]:
-    """Read a robot that is a fleet. Return its keys, too."""
+    """Return a squad, and the keys of its entry."""
     refused = ("target", "address", *_OPTIONAL, *_harnesses(targets))
     inner, keys = read_squad(reader, entry, f"robot {pid}", refused)
     name = _name(reader, keys.get("name"), targets)
@@ -111,7 +111,7 @@ def _check_unique(
     taken: list[tuple[str, object, str]] = [("name", robot.name, robot.name)] if robot.name else []
     if robot.port and robot.inner is None:
         shown = f"{robot.host}:{robot.port}"
-        repeated = address in seen  # then the default control port repeats, too: report the address only
+        repeated = address in seen  # the default control port then repeats as well: report only the address
         taken.append(("address", address, shown))
         control = (robot.host, robot.control)
         taken += [("control", control, f"{robot.host}:{robot.control}")] if not repeated else []

@@ -47,7 +47,7 @@ def is_squad(entry: YamlNode) -> bool:
 def read_squad(
     reader: YamlReader, entry: YamlNode, what: str, refused: tuple[str, ...]
 ) -> tuple[SquadEntry, dict[str, YamlNode]]:
-    """Read the keys `inner` and `ports` of a robot. Return all keys, too.
+    """Return the squad that the entry of a robot describes, and all keys of the entry.
 
     `refused`: the keys that only robots with a target have.
     """

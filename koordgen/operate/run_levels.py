@@ -16,8 +16,8 @@ from typing import Any
 
 from koordgen.build.bundle.plan import SOURCE
 from koordgen.build.bundle.plan_squads import used_ports
+from koordgen.build.bundle.squad_budget import OUTER
 from koordgen.build.pipeline import check_file, check_part
-from koordgen.build.squads import OUTER
 from koordgen.fleet.file import Fleet
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.ir.expr import SharedRead

@@ -18,7 +18,7 @@ ROOT = LINEFORM.parents[2]
 
 
 def columns(folder: Path) -> Path:
-    """Write the fleet files with the program of the page on proofs as inner program. Return the outer file."""
+    """Write fleet files whose inner program is that of the page on proofs. Return the outer fleet file."""
     outer = fleet_files(folder)
     page = (ROOT / "docs/explanation/proofs.md").read_text()
     (text,) = re.findall(r"```koord\n(# column.koord\n.*?)```", page, re.DOTALL)

@@ -16,7 +16,7 @@ CAR = "  - {name: dora, target: car, address: 127.0.0.1:47100}\n"
 
 
 def read(entry: str, more: str = "") -> tuple[fleet.Fleet | None, list[str]]:
-    """Read a fleet of a car and a robot with this entry in line 6. Return the errors with their places, too."""
+    """Read a fleet of a car and a robot with this entry in line 6. Return each error with its place."""
     found: list[str] = []
 
     def report(code: str, message: str, span: Span, help: str) -> None:

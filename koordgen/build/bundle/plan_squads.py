@@ -56,7 +56,7 @@ class SquadIngredients(Node):
 def plan_squads(these: Ingredients, squads: Sequence[SquadIngredients], wanted: Iterable[str]) -> dict[str, Files]:
     """Return bundle name -> relative path -> bytes: `fleet`, and a bundle for each robot whose target is `wanted`.
 
-    Each harness in `wanted` has a bundle, too. The name of an inner robot's bundle is `SQUAD.ROBOT`. `these`: of the
+    Also a bundle for each harness in `wanted`. The name of an inner robot's bundle is `SQUAD.ROBOT`. `these`: of the
     outer program. Raises NamesClash."""
     fleet, text, chosen = these.fleet, text_of(these), set(wanted)
     assert fleet is not None

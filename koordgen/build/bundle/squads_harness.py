@@ -17,6 +17,7 @@ from koordgen.build.bundle.plan import (
     scenario_robot,
 )
 from koordgen.build.bundle.plan_system import SystemIngredients, inner_harness
+from koordgen.build.bundle.squad_budget import OUTER
 from koordgen.fleet.manifest import Target
 from koordgen.lang.node import Node
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from koordgen.fleet.file import Fleet
 
 FLEETS = "fleets"  # folder with the programs of each squad; equal to FOLDER in targets/sim/base/fleets.py (tested)
-APPLICATION = "outer"  # equal to the constant in koordgen/runtime/agent/squad.py (tested)
 OF_FLEET = ("app", "source", "program_hash", "application_id", "delta", "geofence", "shared", "records", "drivers")
 
 
@@ -82,7 +82,7 @@ def _squad(
         scenario_robot(robot, f"{squad.name}.{robot.name}", place, target, these.targets)
         for robot, place in zip(inner.robots, places, strict=True)
     ]
-    outer = {"name": APPLICATION, "members": list(range(len(inner.robots))), "variables": dict(squad.commanded)}
+    outer = {"name": OUTER, "members": list(range(len(inner.robots))), "variables": dict(squad.commanded)}
     fleet = {
         "name": squad.name,
         "members": list(places),

@@ -11,7 +11,7 @@ from koordgen.cli.base.parser import Parser
 def check(command: Parser) -> None:
     """Options of `koordgen check`."""
     _program_or_fleet(command)
-    _fleet(command.add_argument_group("fleet"), "a fleet file (YAML): check all that `build` checks, too")
+    _fleet(command.add_argument_group("fleet"), "a fleet file (YAML): make all checks of `build`")
     command.set_defaults(param=[], functions=None)
     _diagnostics(command.add_argument_group("output"))
 

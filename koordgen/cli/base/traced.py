@@ -9,13 +9,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from koordgen.build.bundle.squad_budget import OUTER
 from koordgen.cli.base.building import params
 from koordgen.cli.base.console import USAGE, WRONG, Failure
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.node import replace
 from koordgen.lang.semantics.composition import Application, System
 
-HOST = "outer"  # application of a squad that hosts the outer robot; equal to that of koordgen/runtime (tested)
 SOURCE, PARAMS = "source", "params.json"  # paths in a run's folder; koordgen/build/bundle/plan.py writes them
 
 
@@ -58,7 +58,7 @@ def fleet_of(options: Namespace, trace: Path, header: Mapping[str, Any]) -> Trac
     from koordgen.build.emit.system import system_hash
 
     its = system_hash(found.system, [_content(file) for file in found.functions])
-    is_squad = [*header.get("applications", ())][len(found.system.applications) :] == [HOST]
+    is_squad = [*header.get("applications", ())][len(found.system.applications) :] == [OUTER]
     if is_squad and "robots" not in header:
         its = _with_outer_hash(options, trace, its)
     if its != program_hash:
@@ -95,7 +95,7 @@ def _hosted(found: TracedFleet, trace: Path, header: Mapping[str, Any]) -> Trace
     """Return the programs of a squad with the application that hosts the outer robot. Raises Failure."""
     from koordgen.verify.replay.hosted import hosting
 
-    part = next((p for p in header.get("composition", ()) if p["name"] == HOST), None)
+    part = next((p for p in header.get("composition", ()) if p["name"] == OUTER), None)
     try:
         system = hosting(found.system, None if part is None else part["variables"])
     except (LookupError, TypeError, ValueError, StopIteration) as error:
@@ -105,7 +105,7 @@ def _hosted(found: TracedFleet, trace: Path, header: Mapping[str, Any]) -> Trace
 
 
 def _is_squad(header: Mapping[str, Any]) -> bool:
-    return [*header.get("applications", ())][-1:] == [HOST]
+    return [*header.get("applications", ())][-1:] == [OUTER]
 
 
 def _names_programs(fleet: str) -> bool:
@@ -161,7 +161,7 @@ def _of_run(options: Namespace, trace: Path, header: Mapping[str, Any], n_sys: i
         what = alone if folder is not None else f"there is no folder {SOURCE}/ beside {trace}"
         raise Failure(USAGE, f"{what}, and the fleet has several applications", "name the fleet file with --fleet")
     try:
-        own = [part for part in composition if part["name"] != HOST or (folder / SOURCE / HOST).is_dir()]
+        own = [part for part in composition if part["name"] != OUTER or (folder / SOURCE / OUTER).is_dir()]
         applications = tuple([_application(folder, part) for part in own])
         system = with_sizes(System(applications, n_sys))
     except (LookupError, TypeError, ValueError, StopIteration) as error:

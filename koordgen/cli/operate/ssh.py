@@ -20,7 +20,7 @@ UNREACHABLE = ("unreachable", "unknown key", "changed key", "refused key", "sett
 
 
 def read_fleet(path: str) -> Fleet:
-    """Read a fleet file without its program; the fleet files of its squads, too. Raises Rejected."""
+    """Read a fleet file and those of its squads, without programs. Raises Rejected."""
     from koordgen.build import pipeline
     from koordgen.fleet import manifest
 

@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from koordgen.build.bundle.squad_budget import OUTER
 from koordgen.cli.base.console import Failure
-from koordgen.cli.base.traced import HOST, fleet_of
+from koordgen.cli.base.traced import fleet_of
 from koordgen.lang.ir.decl import Program
 from koordgen.runtime.trace.schema import BadTrace
 from koordgen.verify.audit.history import FleetMission, RobotHistory, mission, of_application
@@ -106,7 +107,7 @@ def _names(trace: Path) -> list[str]:
 
 
 def _is_squad(trace: Path) -> bool:
-    return [*_header(trace).get("applications", ())][-1:] == [HOST]
+    return [*_header(trace).get("applications", ())][-1:] == [OUTER]
 
 
 def _header(trace: Path) -> Mapping[str, Any]:

@@ -12,7 +12,7 @@ LARGEST = LIMIT + 1  # number of bytes read of a datagram; a length above LIMIT 
 IN_TURN = 64  # largest number of datagrams received from one socket before the other sockets are served
 MOST_ECHOES = 16  # number of own group datagrams to remember until their copies return; a round sends fewer
 GROUP = MAX_ROBOTS  # index of the group's address; lower indices are pids of robots
-FURTHER = GROUP + 1  # first index of further addresses, which robots have that are fleets
+FURTHER = GROUP + 1  # first index of further addresses: a squad has one address for each of its robots
 PLACES = 4 * MAX_ROBOTS  # number of indices
 Address = tuple[str, int] | tuple[str, int, int, int]  # IPv4 or IPv6 address, as Python's sockets represent it
 

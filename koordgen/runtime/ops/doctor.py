@@ -91,7 +91,7 @@ def _outer(outer: OuterRobot, inner: Settings) -> Iterator[Finding]:
         return
     if settings.application_id == inner.application_id:
         why = "robots tell the two fleets apart by it: give the inner fleet file another `application_id`"
-        found = f"application_id {settings.application_id} is that of the inner fleet, too"
+        found = f"application_id {settings.application_id}, as in the inner fleet"
         yield Finding("outer", "fail", found, "two different ones", why)
         return
     detail = f"{outer.program.name} {outer.program.program_hash}"

@@ -241,7 +241,7 @@ class SquadComparison:
     def _command_differences(self) -> Iterator[LevelDifference]:
         """Yield the commands that are not in the squad's store when the record of the next outer event is.
 
-        Commands before a new start of the outer agent are left out, and variables that inner programs write, too."""
+        Commands before a new start of the outer agent and variables that inner programs write are left out."""
         due: dict[str, _OuterEvent] = {}  # actuator -> event with its last command
         since = self.states.first
         for event in self._events:

@@ -12,7 +12,7 @@ from targets.sim.realtime.relay import LOOPBACK, Relay
 
 
 class FleetLinks:
-    """Addresses of the robots of a fleet: a port for each physical robot, of squads, too.
+    """Addresses of the robots of a fleet: a port for each physical robot, those of squads included.
 
     `medium`: of all physical robots of the run; None: the robots send to each other directly."""
 

@@ -112,7 +112,7 @@ class FleetRun:
         )
 
     def _concerns(self, mark: Mark) -> bool:
-        """Return whether a record of the outer fleet belongs to the trace of this fleet, too."""
+        """Return whether a record of the outer fleet also belongs to the trace of this fleet."""
         match mark:
             case Verdict():
                 return False

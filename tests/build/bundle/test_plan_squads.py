@@ -156,7 +156,7 @@ def test_the_bundle_of_the_simulator_has_all_robots_and_both_levels(tmp_path: Pa
 
 
 def test_names_that_the_build_and_the_simulator_share() -> None:
-    assert (squads_harness.FLEETS, squads_harness.APPLICATION) == (FOLDER, APPLICATION)
+    assert squads_harness.FLEETS == FOLDER
 
 
 def test_a_record_that_is_too_large_for_the_inner_fleet(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from koordgen.build.bundle.squad_budget import record_capacity, with_outer
 from koordgen.build.bundle.system_budget import check_system_budget, entry_bytes, entry_sizes, store_total
 from koordgen.build.emit.program import program_text
 from koordgen.build.pipeline import check_file
-from koordgen.build.squads import OUTER
 from koordgen.fleet.medium import Medium
 from koordgen.lang.ir.decl import Program
 from koordgen.lang.semantics.composition import Application, System
@@ -48,7 +47,7 @@ def hosting(outer: Program) -> System:
 
 def test_names_and_numbers_are_the_runtimes() -> None:
     assert squad_budget.KEPT == KEPT
-    assert OUTER == squad_budget.OUTER == squad.APPLICATION
+    assert squad_budget.OUTER == squad.APPLICATION
 
 
 def test_a_record_is_as_large_as_agents_make_it() -> None:

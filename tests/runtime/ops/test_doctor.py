@@ -239,7 +239,7 @@ def test_the_outer_robot_that_a_fleet_is(bundles: list[Path], capsys: pytest.Cap
     assert done == 0 and list(checks)[-6:] == ["outer", "outer key", "outer peers", "outer port", "fake", "clock"]
     assert f"robot squad of {PROGRAM.name}" in checks["outer"]["found"]
     done, checks = found(application_id=settings["application_id"])
-    assert done == 1 and "is that of the inner fleet, too" in checks["outer"]["found"] and "outer key" not in checks
+    assert done == 1 and "as in the inner fleet" in checks["outer"]["found"] and "outer key" not in checks
     done, checks = found(key_file="missing.key")
     assert done == 1 and checks["outer key"]["state"] == "fail" and checks["outer port"]["state"] == "ok"
     done, checks = found(peers=settings["peers"], pid=7)

@@ -11,8 +11,6 @@ from typing import Any
 import pytest
 
 from koordgen.cli import main
-from koordgen.cli.base import traced
-from koordgen.runtime.agent import squad
 from tests.squads.levels import WAVE, Levels
 from tests.squads.saved import save
 
@@ -61,10 +59,6 @@ def moves_goal(record: Record) -> Any:
 
 def other_copy(record: Record) -> Any:
     return "goal" in record.get("copy", {}) and record["copy"].update(goal=[1.0, 2.0, 3.0])
-
-
-def test_the_names_of_the_hosting_application_are_those_of_the_runtime() -> None:
-    assert traced.HOST == squad.APPLICATION
 
 
 def test_a_squads_trace_has_no_differences(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
