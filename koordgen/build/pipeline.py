@@ -353,7 +353,7 @@ def _with_inner_fleets(
     inner, levels = [], []
     for squad in fleet.squads:
         assert squad.inner is not None
-        checked = check_system(str(Path(source.path).parent / squad.inner.file), f"the fleet of {squad.name}")
+        checked = check_system(str(Path(source.path).parent / squad.inner.file), squad.name)
         parts = zip(checked.fleet.applications, checked.parts, checked.system.applications, strict=True)
         programs = tuple([ApplicationProgram(settings, part.source, a.program) for settings, part, a in parts])
         inner.append(checked)
@@ -367,7 +367,7 @@ def _with_inner_fleets(
 
 
 def _nested(fleet: Fleet, source: Source) -> Iterator[tuple[Source, Diagnostic]]:
-    """Yield an error for each inner fleet that has squads itself. Such a fleet may contain itself."""
+    """Yield an error for each inner fleet that does not exist or has squads itself. Such a fleet may contain itself."""
     from pathlib import Path
 
     from koordgen.fleet.squads import nesting
@@ -380,7 +380,12 @@ def _nested(fleet: Fleet, source: Source) -> Iterator[tuple[Source, Diagnostic]]
 
     for squad in fleet.squads:
         assert squad.inner is not None
-        chain = nesting(str(Path(source.path).parent / squad.inner.file), read, source.path)
+        path = Path(source.path).parent / squad.inner.file
+        if not path.is_file():
+            message = f"there is no file {path}, which is to be the fleet of {squad.name}"
+            yield _of_squad(source, squad, message, "write its path relative to the folder of this fleet file")
+            continue
+        chain = nesting(str(path), read, source.path)
         if chain[-1] in chain[:-1]:
             message = f"the fleet of {squad.name} contains itself: {' -> '.join(chain)}"
             yield _of_squad(source, squad, message, "name a fleet that does not contain this one")
@@ -418,10 +423,10 @@ def _folders(*paths: str) -> list[Path]:
     return list(dict.fromkeys(Path(path).parent for path in paths))
 
 
-def check_system(fleet_path: str, what: str = "the fleet file") -> CheckedSystem:
+def check_system(fleet_path: str, squad: str = "") -> CheckedSystem:
     """Check the programs of a fleet file's `applications`, and whether they fit together.
 
-    `what`: the fleet file's name in a message. Raises Rejected, ManifestError.
+    `squad`: name of the robot that this fleet is; "" if it is none. Raises Rejected, ManifestError.
     """
     from pathlib import Path
 
@@ -448,8 +453,9 @@ def check_system(fleet_path: str, what: str = "the fleet file") -> CheckedSystem
     known = name_checks(by_name, _folders(fleet_path, *(str(folder / p) for p in checked)))
     fleet = _read_fleet(source, targets, None, known)
     if not fleet.applications:
-        message = f"{what} names no program"
-        help = "list programs under `applications:`, or name a program on the command line and this file with --fleet"
+        message = f"the fleet {f'of {squad}' if squad else 'file'} names no program"
+        help = "list programs under `applications:`"
+        help += "" if squad else ", or name a program on the command line and this file with --fleet"
         raise Rejected([(source, Diagnostic("F003", "error", message, Span(1, 1, 1, 2), help=help))])
     parts = [ApplicationProgram(a, checked[a.program].source, checked[a.program].program) for a in fleet.applications]
     for part in parts:

@@ -10,7 +10,7 @@ from koordgen.fleet.address import control_port, read_address
 from koordgen.fleet.deployment import Login, read_login
 from koordgen.fleet.manifest import ACTIONS, Target
 from koordgen.fleet.settings import NameChecks, read_given, read_settings
-from koordgen.fleet.squads import SquadEntry, is_squad, read_squad
+from koordgen.fleet.squads import RESERVED, SquadEntry, is_squad, read_squad
 from koordgen.fleet.yaml_reader import YamlNode, YamlReader
 from koordgen.lang.ir.types import MOST_ROBOTS
 from koordgen.lang.node import Node
@@ -90,6 +90,9 @@ def _squad(
     refused = ("target", "address", *_OPTIONAL, *_harnesses(targets))
     inner, keys = read_squad(reader, entry, f"robot {pid}", refused)
     name = _name(reader, keys.get("name"), targets)
+    if name in RESERVED:
+        message = f"{name!r} cannot be the name of a squad: it is a folder of each run"
+        reader.report("F005", message, keys["name"], "give the squad another name")
     host, port = inner.addresses[0] if inner.addresses else ("", 0)
     return FleetRobot(
         name or "", pid, "", host, port, control_port(port), _start(reader, None, ""), {}, {}, None, inner

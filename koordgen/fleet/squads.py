@@ -26,6 +26,10 @@ _MISPLACED = {
 }
 
 
+# Folders in the folder of a run, in which each squad has a folder of its own; equal to those of the simulator (tested).
+RESERVED = frozenset(("plots", "robots", "source"))
+
+
 class SquadEntry(Node):
     """Fleet that is one robot of an outer fleet.
 

@@ -84,6 +84,8 @@ def test_listed_ports_are_used(tmp_path: Path) -> None:
          "alpha.yaml:6:23: F005 no application of a squad can be called 'outer'"),
         ("alpha.yaml", "applications: [{name: triangle, program: triangle.koord}]", "",
          "alpha.yaml:1:1: F003 the fleet of alpha names no program | list programs under `applications:`"),
+        ("outer.yaml", "name: alpha", "name: plots",
+         "outer.yaml:6:12: F005 'plots' cannot be the name of a squad: it is a folder of each run | give the squad "),
         ("alpha.yaml", "{name: ann, target: quad, address: 127.0.0.1:47200, start: {position: [4.0, 0.0, 0.0]}}",
          "{name: ann, inner: beta.yaml}",
          "outer.yaml:6:26: F005 the fleet of alpha has a robot that is a fleet itself, "),
@@ -102,7 +104,7 @@ def test_inner_fleets_that_do_not_fit(file: str, before: str, after: str, error:
 
 def test_an_inner_fleet_file_that_is_not_there(tmp_path: Path) -> None:
     (found,) = errors(changed(tmp_path, "outer.yaml", "alpha.yaml", "nowhere.yaml"))
-    assert found.startswith("nowhere.yaml:1:1: F100 the file cannot be read")
+    assert found.startswith("outer.yaml:6:26: F005 there is no file ") and "to be the fleet of alpha" in found
 
 
 def test_applications_and_squads_exclude_each_other(tmp_path: Path) -> None:

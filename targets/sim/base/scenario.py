@@ -20,9 +20,7 @@ PACKAGES = {PYBULLET: "pybullet", MUJOCO: "mujoco-core"}  # names on the package
 
 
 FILE = "scenario.json"
-RESERVED = frozenset(
-    FOLDERS
-)  # names that a squad must not have, because the folder of a run has a folder for each squad
+RESERVED = frozenset(FOLDERS)  # names that no squad has, because the folder of a run has a folder for each squad
 
 
 class BadScenario(Exception):

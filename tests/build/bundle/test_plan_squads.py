@@ -16,8 +16,10 @@ from koordgen.build.bundle.plan import Files
 from koordgen.build.bundle.plan_squads import OUTER_SETTINGS
 from koordgen.build.bundle.write import write
 from koordgen.build.pipeline import Checked, Rejected, plan_file
+from koordgen.fleet import squads
 from koordgen.runtime.agent.squad import APPLICATION, Squad
 from koordgen.runtime.config.settings import Settings
+from targets.sim.base import scenario
 from targets.sim.base.fleets import FOLDER, OF_FLEET
 from tests.build.squad_files import LINEFORM, TRIANGLE, fleet_files
 
@@ -157,6 +159,7 @@ def test_the_bundle_of_the_simulator_has_all_robots_and_both_levels(tmp_path: Pa
 
 def test_names_that_the_build_and_the_simulator_share() -> None:
     assert squads_harness.FLEETS == FOLDER
+    assert squads.RESERVED == scenario.RESERVED
 
 
 def test_a_record_that_is_too_large_for_the_inner_fleet(tmp_path: Path) -> None:
