@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.fixtures.fleet import KEY, FakePlatform, settings
+from benchmarks.fixtures.fleet import KEY, NAMES, FakePlatform, settings
 from koordgen.build.emit.program import program_text
 from koordgen.lang.semantics.composition import Application, System
 from koordgen.runtime.agent.machine import Agent
@@ -161,8 +161,8 @@ class Levels(CountedEvents):
             host = None
         else:
             around = HostSurroundings(
-                settings(fleet, len(self.sizes), OUTER, safety=self.safety), KEY, self.random.randbytes(8), clock,
-                transport, trace, lambda level, line: lines.append(line),
+                settings(fleet, len(self.sizes), OUTER, safety=self.safety), KEY, NAMES[pid], self.random.randbytes(8),
+                clock, transport, trace, lambda level, line: lines.append(line),
                 monitors=(lambda record: self._keep(fleet, record),),
             )  # fmt: skip
             size = self.sizes[fleet]

@@ -43,13 +43,14 @@ LONGEST_EVENT = 0.2  # rounds of the inner fleet; time limit of an event of the 
 class HostSurroundings(NamedTuple):
     """Surroundings of the outer agents on one inner robot.
 
-    settings, key: those of the outer robot. boot: boot id of the inner agent. trace: function that opens the trace of
-    one outer agent. monitors: see Agent. limit: the time limit of the process for events.
-    polls: the process does not wake when a datagram arrives for the outer robot, so it must poll.
+    settings, key: those of the outer robot. robot: name of the inner robot. boot: boot id of the inner agent. trace:
+    function that opens the trace of one outer agent. monitors: see Agent. limit: the time limit of the process for
+    events. polls: the process does not wake when a datagram arrives for the outer robot, so it must poll.
     """
 
     settings: Settings
     key: bytes | None
+    robot: str
     boot: bytes
     clock: Clock
     transport: Transport
@@ -206,13 +207,13 @@ class SquadHost:
             self._trace, around.emit, boot, store, monitors=around.monitors, limit=self._limit,
             properties=self.squad.properties, outlet=outlet,
         )  # fmt: skip
-        around.emit("info", f"{around.settings.robot}: hosted by this robot (term {record.term})")
+        around.emit("info", f"{around.settings.robot}: hosted by {around.robot} (term {record.term})")
 
     def _drop(self) -> None:
         """End the outer agent at once. The bodies go on: they belong to the inner fleet."""
         if self.outer is not None:
             self.outer = None
-            self.around.emit("info", f"{self.around.settings.robot}: no longer hosted by this robot")
+            self.around.emit("info", f"{self.around.settings.robot}: no longer hosted by {self.around.robot}")
         if self._trace is not None:
             self._trace.close()
         self._trace = self._store = self._sender = self._platform = None

@@ -37,8 +37,8 @@ def open_host(squad: Squad, inner: FleetProgram, own: Settings, outer: Settings,
         squad.program.library.load()
     key, warn = open_key(outer), _warnings(process.emit)
     around = HostSurroundings(
-        outer, key, process.boot, process.clock, open_transport(outer), partial(open_trace, outer, warn), process.emit,
-        process.limit, polls=True,
+        outer, key, own.robot, process.boot, process.clock, open_transport(outer), partial(open_trace, outer, warn),
+        process.emit, process.limit, polls=True,
     )  # fmt: skip
     return SquadHost(squad, inner, own.pid, own.delta, around)
 

@@ -128,7 +128,7 @@ class LockstepAgent(TracedAgent):
         settings = load(self._shared.root / self.robot.bundle / squad.settings, own_file)
         self._between = place.outer.transport(self._place)
         around = HostSurroundings(
-            settings, self._shared.key, boot, self._shared.clock, self._between, place.handle.trace,
+            settings, self._shared.key, self.robot.name, boot, self._shared.clock, self._between, place.handle.trace,
             place.handle.emit, self._shared.limit, tuple(place.handle.monitors),
         )  # fmt: skip
         return SquadHost(squad, inner, self.robot.pid, self._fleet.scenario.delta, around)

@@ -84,7 +84,7 @@ def test_the_outer_robot_goes_on_when_its_host_dies(run: Path) -> None:
     events = [r.t for r in rounds if r.event == "TargetUpdate"]
     assert min(events) < KILLED and max(events) > KILLED + 2
     log = (run / "robots" / "beta" / "log.txt").read_text()
-    assert "hosted by this robot (term 1)" in log and "hosted by this robot (term 2)" in log
+    assert "beta: hosted by beta.eve (term 1)" in log and "beta: hosted by beta.fay (term 2)" in log
     members = records(run / "beta" / "trace.jsonl", Round)
     assert max(r.t for r in members if r.pid == 0) < min(r.t for r in members if r.pid == 1 and r.round > 60)
 
