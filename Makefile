@@ -23,11 +23,12 @@ demo: $(STAMP)
 	@echo "Run it in real time and watch it in a browser:"
 	@echo "  $(VENV)/bin/$(DEMO) --live --out build/demo-live"
 
-# Two at a time, as many as there are cores on the smallest machine that it must be quick on; a file's tests stay together,
-# and files keep their order: xdist would begin those with few tests last, and some of these take longest. Compiled modules
-# are kept, whatever the shell says: both, and all processes that tests start, would else compile everything anew.
+# Three at a time, one more than there are cores on the smallest machine that it must be quick on, because many tests wait
+# for processes. A file's tests stay together, and files keep their order: xdist would begin those with few tests last, and
+# some of these take longest. Compiled modules are kept, whatever the shell says: both, and all processes that tests start,
+# would else compile everything anew.
 test: lint
-	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+	PYTHONDONTWRITEBYTECODE= $(PY) -m pytest -n 3 --dist loadfile --no-loadscope-reorder -m "not slow"
 
 # Of the same tests those that depend most on the Python version and its packages.
 test-sim: $(STAMP)

@@ -49,9 +49,12 @@ def holds(found: Found) -> None:
 
 @pytest.mark.parametrize(
     ("bounds", "start"),
-    [(ROUNDS, BEGIN), (RIVALS, BEGIN), (SMALL, BEGIN), (LATER, LET_IN), (LATER, LEFT_OUT)],
+    [
+        (ROUNDS, BEGIN), pytest.param(RIVALS, BEGIN, marks=pytest.mark.slow), (SMALL, BEGIN), (LATER, LET_IN),
+        pytest.param(LATER, LEFT_OUT, marks=pytest.mark.slow),
+    ],
     ids=["rounds", "rivals", "small", "let in", "left out"],
-)
+)  # fmt: skip
 def test_every_state_keeps_what_is_promised(bounds: Bounds, start: State) -> None:
     holds(explore(Protocol(bounds), start=start))
 
@@ -188,9 +191,12 @@ def test_from_every_state_they_come_together_and_go_on(bounds: Bounds, rules: Ru
 
 @pytest.mark.parametrize(
     ("rules", "stores"),
-    [(Rules(holders=False), 2), (Rules(freezes=False), 2), (Rules(stays=False), 1)],
+    [
+        (Rules(holders=False), 2), pytest.param(Rules(freezes=False), 2, marks=pytest.mark.slow),
+        pytest.param(Rules(stays=False), 1, marks=pytest.mark.slow),
+    ],
     ids=["holders", "freezes", "stays"],
-)
+)  # fmt: skip
 def test_who_does_not_come_together_is_missed(rules: Rules, stores: int) -> None:
     healing = Healing(rules, stores=stores)
     assert explore(Protocol(SMALL, rules), judge=healing.judge).violation

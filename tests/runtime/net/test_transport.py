@@ -26,7 +26,7 @@ KINDS: dict[str, Callable[[ExitStack, int], Opened]] = {
     "zenoh": transports.zenoh,
 }
 NEEDS = {
-    "zenoh": [transports.needs_zenoh],
+    "zenoh": [transports.needs_zenoh, pytest.mark.slow],  # each test waits a second; test_process uses it every day
     **{kind: [transports.needs_compiler] for kind in ("unicast", "multicast", "broadcast")},
 }
 ALL = [pytest.param(kind, marks=NEEDS.get(kind, [])) for kind in KINDS]

@@ -192,7 +192,7 @@ def test_it_is_told_as_many_states_as_it_wants(bench: Bench) -> None:
     assert bench.stand_in.seen is not None and bench.stand_in.seen.force == pytest.approx((0, 0, -9.81), abs=0.01)
 
 
-@pytest.mark.parametrize("channels", [16, 32])
+@pytest.mark.parametrize("channels", [16, pytest.param(32, marks=pytest.mark.slow)])
 def test_it_hovers_and_climbs(channels: int) -> None:
     bench = Bench(channels)
     bench.run(0.5)
