@@ -225,6 +225,22 @@ def test_the_alarm_interrupts_and_is_gone_afterwards() -> None:
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
+def test_the_alarm_rings_again_if_something_swallows_it() -> None:
+    """As a bare `except` of the user does, or the interpreter, which raises nothing out of a destructor."""
+    swallowed = 0
+    with pytest.raises(OutOfTime), alarm(0.0):
+        while True:
+            try:
+                while True:
+                    pass
+            except BaseException:
+                swallowed += 1
+                if swallowed == 2:
+                    raise
+    assert swallowed == 2
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
 def test_without_a_limit_there_is_no_alarm() -> None:
     with alarm(None):
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

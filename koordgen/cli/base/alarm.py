@@ -10,12 +10,14 @@ from types import FrameType
 from koordgen.lang.semantics.deadline import OutOfTime
 
 GRACE = 0.5  # seconds after the limit: code that checks the clock itself ends regularly before the alarm
+AGAIN = 0.5  # seconds between alarms, until the block ends
 
 
 @contextmanager
 def alarm(seconds: float | None) -> Iterator[None]:
     """Raise OutOfTime in the block after `seconds` + GRACE; never if `seconds` is None.
 
+    Raises it again if the block goes on: a bare `except` or a destructor may swallow it.
     Uses SIGALRM during the block. A single call into C is not interrupted; limits of sizes keep such calls short.
     """
     if seconds is None:
@@ -28,7 +30,7 @@ def alarm(seconds: float | None) -> Iterator[None]:
             raise OutOfTime(f"{seconds:g} s are over")
 
     before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, max(seconds, 0.0) + GRACE)
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 0.0) + GRACE, AGAIN)
     try:
         yield
     finally:

@@ -138,14 +138,15 @@ def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
 
 @contextmanager
 def _within(seconds: float) -> Iterator[None]:
-    """Raises Overtime once this process has computed for so many seconds; solvers have limits of their own. Of the main
-    thread only."""
+    """Raise Overtime in the block once this process has computed for so many seconds; solvers have limits of their own.
+
+    Raises it again if the block goes on, because a destructor swallows it. Of the main thread only."""
 
     def over(*_: object) -> None:
         raise Overtime
 
     kept = signal.signal(signal.SIGVTALRM, over)
-    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds, 1.0)
     try:
         yield
     finally:
