@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from types import ModuleType
@@ -66,16 +66,37 @@ class Applied(NamedTuple):
     counted: frozenset[int] = frozenset()
 
 
+class AppliedRounds(dict[int, Applied]):
+    """The events of each round as the robots of a fleet applied it in the newest view.
+
+    `of`: function that returns whether a robot's store is one of this fleet."""
+
+    def __init__(self, of: Callable[[StateMachine], bool] = lambda state: True) -> None:
+        super().__init__()
+        self._of = of
+        self._views: dict[int, int] = {}  # number of each view -> its first round
+
+    def add(self, state: StateMachine, entries: Sequence[Logged], through: int) -> None:
+        """Add the round that a robot has just applied. A robot that does not know a later view yet does not count."""
+        view = state.view
+        if not self._of(state) or any(n > view.number and since <= through for n, since in self._views.items()):
+            return
+        if view.number not in self._views:
+            self._views[view.number] = view.since
+            for round_ in [r for r in self if r >= view.since]:
+                del self[round_]
+        arrived = frozenset([e.instance for logged in entries for e in logged.events if e.acted])
+        self[through] = Applied(arrived, frozenset([n for n in arrived if state.acted[n] == through]))
+
+
 @contextmanager
-def observing(rounds: dict[int, Applied]) -> Iterator[None]:
-    """Record the events of each round as the robots apply it. After a view change, the last result counts."""
+def observing(rounds: AppliedRounds) -> Iterator[None]:
+    """Record the events of each round as the robots apply it."""
     apply = StateMachine._apply
 
     def applied(state: StateMachine, entries: Sequence[Logged], through: int) -> None:
         apply(state, entries, through)
-        arrived = frozenset([e.instance for logged in entries for e in logged.events if e.acted])
-        counted = [number for number in arrived if state.acted[number] == through]
-        rounds[through] = Applied(arrived, frozenset(counted))
+        rounds.add(state, entries, through)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(StateMachine, "_apply", applied)
@@ -92,7 +113,7 @@ class CountedEvents:
     def __init__(self, system: System) -> None:
         self.system = system
         self.records: dict[tuple[int, int], RoundRecord] = {}
-        self.applied: dict[int, Applied] = {}
+        self.applied = AppliedRounds()
 
     def follow(self, rounds: int) -> Counter[str]:
         """Compare each event with that of the semantics. Return how often each kind of end of a round occurred.

@@ -5,14 +5,11 @@ from __future__ import annotations
 import io
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from random import Random
 from types import ModuleType
 from typing import Any
-
-import pytest
 
 from benchmarks.fixtures.fleet import KEY, NAMES, FakePlatform, settings
 from koordgen.build.emit.program import program_text
@@ -26,14 +23,13 @@ from koordgen.runtime.net.network import Conditions, MemoryNetwork
 from koordgen.runtime.program.fleet_program import FleetApplication, FleetProgram
 from koordgen.runtime.program.program import Program
 from koordgen.runtime.program.runner import NO_EVENT
-from koordgen.runtime.replication.log import Logged
 from koordgen.runtime.replication.state_machine import StateMachine
 from koordgen.runtime.trace.writer import RoundRecord, Trace
 from koordgen.runtime.values.clock import SimulatedClock
 from koordgen.runtime.values.points import Point
 from koordgen.runtime.vehicle.drivers import with_drivers
 from tests.build.squad_files import TRIANGLE
-from tests.composed.agents import Applied, CountedEvents
+from tests.composed.agents import AppliedRounds, CountedEvents, observing
 from tests.lang.semantics.compositions import compiled
 
 INNER = 0.1  # seconds in a round of the inner fleets
@@ -86,6 +82,16 @@ def squad_of(outer: Program) -> Squad:
     return Squad(0, {n: f for n, f in sensors.items() if n in used}, {"Motion.target": "goal"}, outer)
 
 
+class Between(MemoryNetwork):
+    """Network of the outer fleet. `speaks`: function that is called with the place of each sender."""
+
+    speaks: Callable[[int], None]
+
+    def send(self, sender: int, receiver: int, datagram: bytes) -> None:
+        self.speaks(sender)
+        super().send(sender, receiver, datagram)
+
+
 @dataclass
 class Node:
     """Process of one physical robot: its agent, and the host of the outer robot if it is in a squad.
@@ -122,13 +128,20 @@ class Levels(CountedEvents):
         self.sizes = tuple(sizes)
         self.outer_program: Program = loaded("outer_program", text).PROGRAM
         super().__init__(System((Application("app", compiled("app", text), tuple(range(len(sizes)))),), len(sizes)))
+        self.applied = AppliedRounds(self._counts)
         self.safety = Safety(position_stale=0.7, position_lost=10000.0, peer_timeout=timeout)
-        self.between = MemoryNetwork(self.time, self.random.getrandbits(32), conditions)  # of the outer fleet
+        self.between = Between(self.time, self.random.getrandbits(32), conditions)
+        self.between.speaks = self._speaks
         self.inside = [MemoryNetwork(self.time, self.random.getrandbits(32), conditions) for _ in sizes]
         self.nodes: dict[int, Node] = {}
         self.down: set[int] = set()  # places of the robots that are killed
+        self.frozen: dict[int, float] = {}  # place -> time until which the process does nothing
         self.files: dict[tuple[int, int], list[tuple[SimulatedClock, io.BytesIO]]] = {}
         self.hosts: list[tuple[float, int, int]] = []  # (time, outer pid, inner pid): changes of a host
+        self._began: dict[Agent, int] = {}  # outer agents on hosts, in the order in which they began
+        self.second_voices: list[tuple[float, int]] = []  # (time, place): messages of hosts that were replaced
+        self._spoke: dict[int, int] = {}  # outer pid of a squad -> number of the newest host that has sent a message
+        self._recorded: dict[tuple[int, int], int] = {}  # outer pid and round -> the same number of the record's agent
         self._where: list[tuple[int, int]] = []  # place -> (squad or -1, pid)
         self._of_squad: dict[int, list[int]] = {}  # outer pid of a squad -> places of its robots
         for pid, size in enumerate(sizes):
@@ -156,14 +169,14 @@ class Levels(CountedEvents):
             agent = Agent(
                 self.outer_program, settings(pid, len(self.sizes), OUTER, safety=self.safety), KEY, platform, clock,
                 transport, trace(), lambda level, line: lines.append(line), self.random.randbytes(8),
-                self._kept[place], monitors=[lambda record: self._keep(pid, record)],
+                self._kept[place], monitors=[lambda record: self._keep(pid, place, record)],
             )  # fmt: skip
             host = None
         else:
             around = HostSurroundings(
                 settings(fleet, len(self.sizes), OUTER, safety=self.safety), KEY, NAMES[pid], self.random.randbytes(8),
                 clock, transport, trace, lambda level, line: lines.append(line),
-                monitors=(lambda record: self._keep(fleet, record),),
+                monitors=(lambda record: self._keep(fleet, place, record),),
             )  # fmt: skip
             size = self.sizes[fleet]
             inner = FleetProgram(
@@ -190,8 +203,49 @@ class Levels(CountedEvents):
         if fleet >= 0:
             self.inside[fleet]._queues.pop(pid, None)
 
-    def _keep(self, outer: int, record: RoundRecord) -> None:
-        self.records[outer, record.round] = record
+    def freeze(self, place: int, seconds: float) -> None:
+        """Stop the process of a robot for some time. What arrives meanwhile waits for it."""
+        self.frozen[place] = self.time.time + seconds
+
+    def cut(self, place: int, outside: bool) -> None:
+        """Cut the links of a robot to the others of its squad; with `outside`, also to the outer fleet."""
+        squad, pid = self._where[place]
+        self.inside[squad].cut = lambda sender, receiver: pid in (sender, receiver)
+        if outside:
+            self.between.cut = lambda sender, receiver: place in (sender, receiver)
+
+    def restore(self) -> None:
+        """Restore all links."""
+        for network in (self.between, *self.inside):
+            network.cut = lambda sender, receiver: False
+
+    def _speaks(self, place: int) -> None:
+        """Note a host that sends although another one has sent in the name of the same outer robot since it began."""
+        node = self.nodes[place]
+        if node.fleet >= 0 and node.outer is not None:
+            number = self._began.get(node.outer, len(self._began))
+            newest = self._spoke.setdefault(node.fleet, number)
+            if number < newest:
+                self.second_voices.append((self.time.time, place))
+            self._spoke[node.fleet] = max(number, newest)
+
+    def _counts(self, state: StateMachine) -> bool:
+        """Return whether a store is that of an outer robot, and on its newest host."""
+        newest: dict[int, Agent] = {}
+        for node in self.nodes.values():
+            if node.outer is not None:
+                pid = node.fleet if node.fleet >= 0 else node.pid
+                newest[pid] = max(newest.get(pid, node.outer), node.outer, key=lambda agent: self._began.get(agent, 0))
+        return any(agent.state is state for agent in newest.values())
+
+    def _keep(self, outer: int, place: int, record: RoundRecord) -> None:
+        """Keep a record. A host that has been replaced may still record rounds, which no longer count."""
+        agent = self.nodes[place].outer
+        assert agent is not None
+        number = self._began.get(agent, 0)
+        if number >= self._recorded.get((outer, record.round), number):
+            self.records[outer, record.round] = record
+            self._recorded[outer, record.round] = number
 
     def places(self, squad: int) -> list[int]:
         """Return the places of the robots of a squad."""
@@ -227,7 +281,7 @@ class Levels(CountedEvents):
         arrival = self.between.next_arrival(node.place)
         if node.fleet >= 0:
             arrival = min(arrival, self.inside[node.fleet].next_arrival(node.pid))
-        return min(node.wake, arrival)
+        return max(min(node.wake, arrival), self.frozen.get(node.place, 0.0))
 
     def _poll(self, node: Node) -> None:
         before = node.outer
@@ -236,6 +290,7 @@ class Levels(CountedEvents):
             wake = min(wake, node.host.poll(node.clock.now()))
             if node.outer is not before and node.outer is not None:
                 self.hosts.append((self.time.time, node.fleet, node.pid))
+                self._began[node.outer] = len(self._began)
         node.wake = max(node.clock.true(wake), self.time.time + 1e-6)
 
     def run_rounds(self, rounds: int, seconds: float = 60.0) -> None:
@@ -254,19 +309,3 @@ class Levels(CountedEvents):
     def complete(self) -> int:
         """Last outer round of which each outer robot has recorded the result."""
         return min(max(r for p, r in self.records if p == robot) for robot in range(len(self.sizes)))
-
-
-@contextmanager
-def observing(rounds: dict[int, Applied]) -> Iterator[None]:
-    """Record the events of each outer round as the outer robots apply it."""
-    apply = StateMachine._apply
-
-    def applied(state: StateMachine, entries: Sequence[Logged], through: int) -> None:
-        apply(state, entries, through)
-        if not state._layout.is_composed:
-            arrived = frozenset([e.instance for logged in entries for e in logged.events if e.acted])
-            rounds[through] = Applied(arrived, frozenset([n for n in arrived if state.acted[n] == through]))
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StateMachine, "_apply", applied)
-        yield

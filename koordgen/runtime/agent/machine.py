@@ -148,6 +148,11 @@ class Agent:
         return None if self._driver is None or self._rounds is None else self._driver.replica.state
 
     @property
+    def incarnation(self) -> int | None:
+        """Incarnation of this robot in the newest view that it knows: -1 if it does not count, None before round 1."""
+        return None if self._driver is None else self._driver.replica.views.view.members[self._settings.pid]
+
+    @property
     def has_emergency(self) -> bool:
         """True once this robot knows of an emergency stop of its fleet."""
         return self._driver is not None and self._driver.replica.emergency

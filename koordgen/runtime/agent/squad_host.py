@@ -173,7 +173,11 @@ class SquadHost:
         if self.outer is None:
             self.around.transport.receive()  # datagrams to the squad are for its host
             return math.inf
+        before = self.outer.incarnation
         wake = self.outer.poll(now)
+        if self._is_readmitted(before):
+            self._drop()
+            return math.inf
         if self.outer.done:
             self._over = True
             self._drop()
@@ -233,6 +237,16 @@ class SquadHost:
             return True
         return not store.is_of(record)
 
+    def _is_readmitted(self, before: int | None) -> bool:
+        """Return whether the outer fleet has admitted this robot again, and another host must have asked for that.
+
+        before: the outer robot's last incarnation. This host cannot have asked while the inner fleet is behind, because
+        its messages wait. It would go on with a store without the events of the other host."""
+        outer, inner, state = self.outer, self._inner, self._state()
+        if outer is None or inner is None or state is None or before is None:
+            return False
+        return outer.incarnation not in (None, -1, before) and _lag(inner, state) > LATE
+
     def _record(self) -> HostRecord | None:
         """Return the record in the inner store; None without a store."""
         state = self._state()
@@ -281,7 +295,7 @@ class SquadHost:
         state, inner = self._state(), self._inner
         if state is None or inner is None:
             return "the inner robots have not begun"
-        lag = inner.round - 1 - state.applied
+        lag = _lag(inner, state)
         return f"the inner fleet is {lag} rounds behind: {inner.hindrance}" if lag > LATE else ""
 
     def stop(self, why: str) -> None:
@@ -291,3 +305,8 @@ class SquadHost:
     @property
     def stopped(self) -> bool:
         return self._inner is not None and self._inner.phase == "stopped"
+
+
+def _lag(inner: Agent, state: StateMachine) -> int:
+    """Return the number of rounds by which the store of an inner robot is behind."""
+    return inner.round - 1 - state.applied
