@@ -7,7 +7,6 @@ the squad from the times at which it hosted the squad. These become the trace of
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -67,9 +66,10 @@ def _traces(folder: Path) -> list[Path]:
 def join_hosts(folder: Path, squad: str) -> None:
     """Write the trace of a squad into robots/SQUAD, with one file for each part that a host wrote. Raises OSError.
 
-    A host may record rounds that are not committed when another host takes over and records them. Only the records of
-    the later host are kept.
+    Of a round that several hosts recorded, only the records of the last host are kept; see targets/sim/trace/hosted.py.
     """
+    from targets.sim.trace.hosted import replaced_from
+
     files = [path for place in sorted((folder / ROBOTS).glob(f"{squad}.*")) for path in _traces(place / HOSTED)]
     files.sort(key=lambda path: (path.parent, base_of(path)[1] is None, base_of(path)[1] or 0))
     parts = sorted(_hosted(map(read_trace_file, files)), key=lambda part: (part.first, part.last))
@@ -77,8 +77,8 @@ def join_hosts(folder: Path, squad: str) -> None:
     shutil.rmtree(place, ignore_errors=True)
     if parts:
         place.mkdir()
-    for number, part in enumerate(parts, 1):
-        until = min([later.first for later in parts[number:]], default=math.inf)
+    ends = replaced_from([(part.first, part.last) for part in parts])
+    for number, (part, until) in enumerate(zip(parts, ends, strict=True), 1):
         name = Path(TRACE) if number == len(parts) else Path(f"{Path(TRACE).stem}-{number}.jsonl")
         (place / name).write_bytes(b"".join(_lines_until(part.log, until)))
 

@@ -82,6 +82,13 @@ def squad_of(outer: Program) -> Squad:
     return Squad(0, {n: f for n, f in sensors.items() if n in used}, {"Motion.target": "goal"}, outer)
 
 
+class TraceFile(io.BytesIO):
+    """Trace of one agent, which stays readable when the agent has closed it."""
+
+    def close(self) -> None:
+        pass
+
+
 class Between(MemoryNetwork):
     """Network of the outer fleet. `speaks`: function that is called with the place of each sender."""
 
@@ -161,7 +168,7 @@ class Levels(CountedEvents):
         transport = self.between.transport(place, self._of_squad)
 
         def trace(of_outer: bool = True) -> Trace:
-            file = io.BytesIO()
+            file = TraceFile()
             self.files.setdefault((-1, fleet) if of_outer and fleet >= 0 else (fleet, pid), []).append((clock, file))
             return Trace(file, lines.append)
 

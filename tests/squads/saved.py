@@ -58,7 +58,7 @@ def _merge(folder: Path, levels: Levels, squad: int, header: Header) -> None:
                     record = json.loads(line)
                     if "time" in record:
                         record["time"] = clock.true(record["time"])
-                    file.write(f"{json.dumps(record)}\n")
+                    file.write(json.dumps(record, separators=(",", ":")) + "\n")
         paths.append(path)
     poses = folder / "poses.jsonl"
     poses.write_bytes(b"")

@@ -15,43 +15,37 @@ from targets.sim.run.squad_handle import SquadHandle
 class LockstepSquad(SquadHandle, TracedAgent):
     """Agent handle of a squad in lockstep.
 
-    All robots that host the squad's agent, one after another, write into the same trace and log."""
+    All robots that host the squad's agent write into the same log, and each into a part of the trace."""
 
     def __init__(self, robot: Robot, folder: Path, delta: float, shares: TimeShares) -> None:
         super().__init__(robot, folder, delta)
-        self._out = TraceFile(self.trace_file.open("ab"), shares)
+        self._shares = shares
+        self._parts: list[TraceFile] = []
 
     def trace(self) -> Trace:
         """Return a new trace for a host."""
-        assert self._out is not None
-        return Trace(_KeptOpen(self._out), self._warn)  # type: ignore[arg-type]
+        self._parts.append(TraceFile(self._part(len(self._parts)).open("wb"), self._shares))
+        return Trace(self._parts[-1], self._warn)  # type: ignore[arg-type]
+
+    def _part(self, number: int) -> Path:
+        return self.trace_file.with_name(f"{self.trace_file.stem}-{number}.jsonl")
 
     def emit(self, level: str, line: str) -> None:
         """Write a line of the squad's agent into its log."""
         self._emit(level, line)
 
+    def _read(self) -> None:
+        for part in self._parts:
+            self._take(part)
+
     def close(self) -> None:
-        """Close the files. Idempotent."""
+        """Close the files, and join the parts of the trace. Idempotent."""
         with suppress(OSError):
             self._log.close()
-            if self._out is not None:
-                self._read()
-                self._out.close()
-                self._out = None
-
-
-class _KeptOpen:
-    """Trace file of a squad that stays open when one of its hosts closes it."""
-
-    def __init__(self, file: TraceFile) -> None:
-        self._file = file
-
-    def write(self, line: bytes) -> None:
-        """Raises OSError."""
-        self._file.write(line)
-
-    def flush(self) -> None:
-        self._file.flush()
-
-    def close(self) -> None:
-        """Do nothing. See LockstepSquad.close."""
+            self._read()
+            with self.trace_file.open("ab") as whole:
+                for number, part in enumerate(self._parts):
+                    part.close()
+                    whole.write(self._part(number).read_bytes())
+                    self._part(number).unlink()
+            self._parts = []

@@ -6,10 +6,11 @@ host in real time, simulated time from 0 in lockstep."""
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import msgspec
 
@@ -20,6 +21,7 @@ from koordgen.runtime.trace.schema import (
     OF_EVENTS,
     BadTrace,
     Header,
+    InitRecord,
     Mark,
     MemberPose,
     PoseRecord,
@@ -35,6 +37,8 @@ from koordgen.runtime.trace.schema import (
     format_of,
 )
 from targets.sim.base.bodies import BodyState, Vector
+from targets.sim.base.fleets import SQUAD
+from targets.sim.trace.hosted import replaced_from
 from targets.sim.trace.store_names import StoreNames
 
 LATE = 0.5  # share of delta: a round decided later than this is late
@@ -130,7 +134,7 @@ def merge(path: Path, header: Header, zero: float, poses: Path, agents: list[Pat
     streams = [
         _mark_records(marks, header.app),
         _pose_records(poses, zero),
-        *(_agent_records(file, zero, pid) for pid, file in enumerate(agents)),
+        *(_agent_records(file, zero, pid, header.robots[pid].target == SQUAD) for pid, file in enumerate(agents)),
     ]
     with path.open("wb") as out:
         out.write(encoded(header) + b"\n")
@@ -176,25 +180,57 @@ def _pose_records(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
                     yield t, at(line, t, -1)
 
 
-def _agent_records(path: Path, zero: float, pid: int) -> Iterator[tuple[float, bytes]]:
-    """Yield an agent's records by time, in its order for equal times.
+def _agent_records(path: Path, zero: float, pid: int, hosted: bool) -> Iterator[tuple[float, bytes]]:
+    """Yield an agent's records by time, in its order for equal times. `hosted`: each part of the file is of one host.
 
     The agent writes a round when it is committed, after later records of other kinds; how much later depends on its
     peers. So the file is read twice: for the times, then in order."""
     if not path.exists():
         return
-    places: list[tuple[float, int]] = []
     with path.open("rb") as file:
-        after = 0
-        for line in file:
-            place, after = after, after + len(line)
-            time = time_of(line)
-            if time is not None:
-                places.append((time, place))
+        places = [(time, place) for time, place, _, _ in _counting(list(_places(file)), hosted)]
         for time, place in sorted(places):
             file.seek(place)
             t = round(time - zero, 6)
             yield t, at(file.readline(), t, pid)
+
+
+class _Place(NamedTuple):
+    """Place of a record in a robot's own trace.
+
+    time: of the run's clock (s). offset: in bytes. part: number of headers before it. round: its round, 0 for
+    `init`, None for other records."""
+
+    time: float
+    offset: int
+    part: int
+    round: int | None
+
+
+def _places(file: IO[bytes]) -> Iterator[_Place]:
+    """Yield the places of a file's valid records."""
+    offset = part = 0
+    for line in file:
+        part += line.startswith(HEADER)
+        time = time_of(line)
+        if time is not None:
+            record = decoded(line)
+            round_ = record.round if isinstance(record, Round) else 0 if isinstance(record, InitRecord) else None
+            yield _Place(time, offset, part, round_)
+        offset += len(line)
+
+
+def _counting(places: Sequence[_Place], hosted: bool) -> Iterator[_Place]:
+    """Yield the places of the records that count; see `hosted`."""
+    rounds: dict[int, list[int]] = {}
+    for place in places:
+        if place.round is not None:
+            rounds.setdefault(place.part, []).append(place.round)
+    ends = replaced_from([(min(each), max(each)) for each in rounds.values()])
+    until = dict(zip(rounds, ends, strict=True)) if hosted else {}
+    for place in places:
+        if place.round is None or place.round < until.get(place.part, math.inf):
+            yield place
 
 
 def read(path: Path) -> tuple[Header, Iterator[TraceRecord]]:
