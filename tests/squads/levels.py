@@ -6,6 +6,7 @@ import io
 import math
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from random import Random
 from types import ModuleType
@@ -141,6 +142,7 @@ class Levels(CountedEvents):
         self.between.speaks = self._speaks
         self.inside = [MemoryNetwork(self.time, self.random.getrandbits(32), conditions) for _ in sizes]
         self.nodes: dict[int, Node] = {}
+        self.limits: list[float] = []  # seconds that each outer event on a host might take
         self.down: set[int] = set()  # places of the robots that are killed
         self.frozen: dict[int, float] = {}  # place -> time until which the process does nothing
         self.files: dict[tuple[int, int], list[tuple[SimulatedClock, io.BytesIO]]] = {}
@@ -182,7 +184,7 @@ class Levels(CountedEvents):
         else:
             around = HostSurroundings(
                 settings(fleet, len(self.sizes), OUTER, safety=self.safety), KEY, NAMES[pid], self.random.randbytes(8),
-                clock, transport, trace, lambda level, line: lines.append(line),
+                clock, transport, trace, lambda level, line: lines.append(line), self._limit,
                 monitors=(lambda record: self._keep(fleet, place, record),),
             )  # fmt: skip
             size = self.sizes[fleet]
@@ -225,6 +227,10 @@ class Levels(CountedEvents):
         """Restore all links."""
         for network in (self.between, *self.inside):
             network.cut = lambda sender, receiver: False
+
+    def _limit(self, seconds: float) -> AbstractContextManager[None]:
+        self.limits.append(seconds)
+        return nullcontext()
 
     def _speaks(self, place: int) -> None:
         """Note a host that sends although another one has sent in the name of the same outer robot since it began."""

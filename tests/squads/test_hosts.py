@@ -7,7 +7,8 @@ import pytest
 from koordgen.runtime.agent.squad import STORED
 from koordgen.runtime.net.network import Conditions
 from koordgen.runtime.values.points import Opaque, Point, distance
-from tests.squads.levels import LOSSY, WAVE, Levels
+from tests.squads.disturbances import after_an_event
+from tests.squads.levels import INNER, LOSSY, WAVE, Levels
 
 LINE = """
 using Motion:
@@ -26,48 +27,6 @@ Update:
     Motion.target = (x[pid + 1] + x[pid - 1]) / 2
     x[pid] = Motion.position
 """
-
-
-def test_a_squad_takes_part_in_the_outer_fleet() -> None:
-    levels = Levels(LINE, [0, 3, 0])
-    levels.run_rounds(20)
-    middle = (levels.nodes[0].platform.position + levels.nodes[4].platform.position) / 2
-    position = levels.records[1, 20].sensors["Motion.position"]
-    assert distance(position, middle) < 0.1, (position, middle)
-    assert levels.records[1, 20].event == "Update"
-
-
-def test_an_order_to_stop_in_the_outer_fleet_stops_the_inner_robots() -> None:
-    levels = Levels(LINE, [0, 3, 3])
-    levels.run_rounds(4)
-    levels.nodes[0].agent.stop_all("emergency stop")
-    assert levels.run(20.0, lambda: all(node.agent.phase == "stopped" for node in levels.nodes.values())), {
-        place: node.agent.phase for place, node in levels.nodes.items()
-    }
-    lines = [line for place in levels.places(1) for line in levels.nodes[place].lines]
-    assert any("error: bert: the outer robot stops safely" in line for line in lines)
-
-
-@pytest.mark.parametrize("stopped", [1, 2])
-def test_an_emergency_stop_of_a_robot_of_a_squad_stops_the_robots_of_all_levels(stopped: int) -> None:
-    levels = Levels(LINE, [0, 3, 3], 1, LOSSY)
-    levels.run_rounds(4)
-    levels.nodes[stopped].agent.stop_all("emergency stop")
-    assert levels.run(20.0, lambda: all(node.agent.phase == "stopped" for node in levels.nodes.values())), {
-        place: node.agent.phase for place, node in levels.nodes.items()
-    }
-    assert any("error: emergency stop of its robots" in line for line in levels.nodes[1].lines)
-    assert not any("does not count" in line for line in levels.nodes[0].lines), "it was told, it did not conclude"
-
-
-def test_the_safe_stop_of_one_inner_robot_stops_nobody_else() -> None:
-    levels = Levels(LINE, [0, 3, 0], 1, LOSSY)
-    levels.run_rounds(4)
-    levels.nodes[1].agent.end("SIGTERM: stopping safely")
-    assert levels.run(20.0, lambda: levels.nodes[1].agent.phase == "stopped" and levels.host(1) is levels.nodes[2])
-    levels.run_rounds(20)
-    assert {levels.nodes[place].agent.phase for place in (0, 2, 3, 4)} == {"running"}
-
 
 COUNT = """
 using Motion:
@@ -89,6 +48,51 @@ Count:
     k += 1
     own[pid] = k + total
 """
+
+
+def test_a_squad_takes_part_in_the_outer_fleet() -> None:
+    levels = Levels(LINE, [0, 3, 0])
+    levels.run_rounds(20)
+    middle = (levels.nodes[0].platform.position + levels.nodes[4].platform.position) / 2
+    position = levels.records[1, 20].sensors["Motion.position"]
+    assert distance(position, middle) < 0.1, (position, middle)
+    assert levels.records[1, 20].event == "Update"
+    assert max(levels.limits) <= 0.2 * INNER, "an outer event delays the inner robot, whose process runs it"
+
+
+def test_an_order_to_stop_in_the_outer_fleet_stops_the_inner_robots() -> None:
+    levels = Levels(LINE, [0, 3, 3])
+    levels.run_rounds(4)
+    levels.nodes[0].agent.stop_all("emergency stop")
+    assert levels.run(20.0, lambda: all(node.agent.phase == "stopped" for node in levels.nodes.values())), {
+        place: node.agent.phase for place, node in levels.nodes.items()
+    }
+    lines = [line for place in levels.places(1) for line in levels.nodes[place].lines]
+    assert any("error: bert: the outer robot stops safely" in line for line in lines)
+
+
+@pytest.mark.parametrize("stopped", [1, 2], ids=["host", "other"])
+@pytest.mark.parametrize("text", [LINE, COUNT], ids=["nothing to write", "messages wait"])
+def test_an_emergency_stop_of_a_robot_of_a_squad_stops_the_robots_of_all_levels(stopped: int, text: str) -> None:
+    levels = Levels(text, [0, 3, 3], 1, LOSSY)
+    levels.run_rounds(4)
+    after_an_event(levels, 1)
+    levels.nodes[stopped].agent.stop_all("emergency stop")
+    assert levels.run(20.0, lambda: all(node.agent.phase == "stopped" for node in levels.nodes.values())), {
+        place: node.agent.phase for place, node in levels.nodes.items()
+    }
+    assert any("error: emergency stop of its robots" in line for line in levels.nodes[1].lines)
+    assert not any("does not count" in line for line in levels.nodes[0].lines), "it was told, it did not conclude"
+
+
+def test_the_safe_stop_of_one_inner_robot_stops_nobody_else() -> None:
+    levels = Levels(LINE, [0, 3, 0], 1, LOSSY)
+    levels.run_rounds(4)
+    levels.nodes[1].agent.end("SIGTERM: stopping safely")
+    assert levels.run(20.0, lambda: levels.nodes[1].agent.phase == "stopped")
+    assert levels.run(8 * INNER, lambda: levels.host(1) is levels.nodes[2]), "nobody waits until its process has ended"
+    levels.run_rounds(20)
+    assert {levels.nodes[place].agent.phase for place in (0, 2, 3, 4)} == {"running"}
 
 
 GO = """

@@ -36,7 +36,7 @@ class LockstepSquad(SquadHandle, TracedAgent):
 
     def _read(self) -> None:
         for part in self._parts:
-            self._take(part)
+            self._receive(part)
 
     def close(self) -> None:
         """Close the files, and join the parts of the trace. Idempotent."""

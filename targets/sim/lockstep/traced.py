@@ -50,9 +50,9 @@ class TracedAgent(AgentHandle):
     def _read(self) -> None:
         """Read the records traced since the last call."""
         if self._out is not None:
-            self._take(self._out)
+            self._receive(self._out)
 
-    def _take(self, file: TraceFile) -> None:
+    def _receive(self, file: TraceFile) -> None:
         lines, file.lines = file.lines, []
         for line in lines:
             if not line.startswith(HEADER):  # an agent's own header differs from that of the merged trace
