@@ -263,7 +263,7 @@ def test_an_interrupt_while_the_line_is_shown_leaves_it_a_line_of_its_own() -> N
     assert stream.getvalue() == "\r\x1b[Kalice 50/s\n"
 
 
-@pytest.mark.parametrize("system", ["mock", "vrpn"])
+@pytest.mark.parametrize("system", ["mock", pytest.param("vrpn", marks=pytest.mark.slow)])
 def test_it_ends_in_order_when_interrupted(system: str, tmp_path: Path) -> None:
     """Uses the real package, whose vrpn waits in its library for a frame that never comes.
 

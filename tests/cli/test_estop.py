@@ -109,7 +109,7 @@ def wait_for(folders: list[Path], phase: str) -> None:
     raise AssertionError(f"not all reached {phase}: {[phases(f) for f in folders]}")
 
 
-@pytest.mark.parametrize(("loss", "seed"), [(0.0, 1), (0.3, 2), (0.3, 3)])
+@pytest.mark.parametrize(("loss", "seed"), [(0.0, 1), (0.3, 2), pytest.param(0.3, 3, marks=pytest.mark.slow)])
 def test_all_robots_come_to_rest_soon(
     bundles: list[Path],
     fleet: Path,
@@ -255,7 +255,15 @@ def test_whom_a_broken_fleet_file_names(harm: str, text: str, control: int, appl
     assert (fleet.application, fleet.key) == (application, "mine.key")
 
 
-@pytest.mark.parametrize("source", ["a broken file", "no file", "the build's folder", "addresses"])
+@pytest.mark.parametrize(
+    "source",
+    [
+        "a broken file",
+        pytest.param("no file", marks=pytest.mark.slow),
+        pytest.param("the build's folder", marks=pytest.mark.slow),
+        "addresses",
+    ],
+)
 def test_whatever_the_state_of_the_fleet_file(
     bundles: list[Path], fleet: Path, started: list[subprocess.Popen[str]], capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch, source: str,

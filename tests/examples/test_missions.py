@@ -14,7 +14,7 @@ from koordgen.runtime.values.gridmap import GridMap, is_free, is_occupied
 from koordgen.runtime.values.points import Grid, Point
 from tests.examples.stage import Stage
 
-SKIPS = pytest.mark.parametrize("skips", [0.0, 0.3])
+SKIPS = pytest.mark.parametrize("skips", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 
 
 def stopped(state: State) -> bool:

@@ -444,7 +444,7 @@ def mutant(value: Any, rng: Random) -> Any:
             return rng.choice((ONE, TWO, expr.Unary("-", value, INT, AT), expr.Widen(value, FLOAT, AT)))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [pytest.param(n, marks=pytest.mark.slow) if n >= 3 else n for n in range(6)])
 def test_random_changes_change_the_encoding_if_they_change_the_meaning(seed: int) -> None:
     rng = Random(seed)
     program = with_formulas(seed)

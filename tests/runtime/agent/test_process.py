@@ -105,7 +105,9 @@ def test_three_robots_run_and_end_safely(bundles: list[Path], started: list[subp
             assert abs(r["time"] - r["late"] - first[r["round"]]) < 0.01
 
 
-@pytest.mark.parametrize("kind", ["multicast", "broadcast", pytest.param("zenoh", marks=needs_zenoh)])
+@pytest.mark.parametrize(
+    "kind", ["multicast", pytest.param("broadcast", marks=pytest.mark.slow), pytest.param("zenoh", marks=needs_zenoh)]
+)
 def test_three_robots_over_other_networks(
     bundles: list[Path], started: list[subprocess.Popen[str]], kind: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -186,7 +186,7 @@ def test_an_agent_that_will_not_rest_is_killed_and_fails_the_run(
     assert no_process_left(root)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_run_leaves_a_report_and_no_process(tmp_path: Path, number: int) -> None:
     root, out = bundle(tmp_path / "sim", ["good", "good"]), tmp_path / "out"
     command = [sys.executable, "-m", "tests.sim.run.fake_fleet", str(root), "--duration", "60", "--out", str(out)]

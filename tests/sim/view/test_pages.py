@@ -189,6 +189,7 @@ def in_space(code: str) -> str:
 ORANGE = "seen((r, g, b) => r > 120 && b < 60 && g < 0.7 * r)"  # bert's
 
 
+@pytest.mark.slow
 def test_the_map_has_a_third_dimension(tmp_path: Path) -> None:
     head = msgspec.structs.replace(HEAD, obstacles=SOLIDS)
     scan = [[[1.0, 0.0, 0.0], [[0.0, 1.0, 2.0], [1.0, 6.0, 2.0], 6.0]]]
