@@ -36,7 +36,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 def adds(folder: Path, application: str) -> list[dict[str, Any]]:
     """Return the recorded rounds in which the application's event counted."""
-    return [r for r in rounds(folder) if r["application"] == application and r["event"] == "Add"]
+    return [r for r in rounds(folder) if r["application"] == application and r["event"] == "Add" and not r["fault"]]
 
 
 def test_processes_run_several_applications_and_one_rejoins(
