@@ -142,7 +142,7 @@ class Trials:
         self._ports = dict(zip(ROBOTS, free_ports(len(ROBOTS)), strict=True))
         self._phases = log.with_name("phases")
 
-    def _planned(self, *_: object) -> tuple[dict[str, dict[str, bytes]], str]:
+    def _planned(self, *_: object, **__: object) -> tuple[dict[str, dict[str, bytes]], str]:
         """Return bundles of agents that only tell which release they are of."""
         bundles = {}
         for robot, port in self._ports.items():

@@ -111,7 +111,7 @@ def test_an_environment_is_made_of_wheels_once(
     fleet: Deployed, folder: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_wheel(folder, "tiny")
-    monkeypatch.setattr(building, "planned", lambda *_: fleet.planned(requirements="tiny==1.0\n", needs="tiny"))
+    monkeypatch.setattr(building, "planned", lambda *_, **__: fleet.planned(requirements="tiny==1.0\n", needs="tiny"))
     fleet.write(version=1, wheels="host")
     assert fleet.deploy() == 1  # the test's own Python lacks it
     assert "No module named 'tiny'" in capfd.readouterr().err

@@ -91,12 +91,12 @@ class TraceFile(io.BytesIO):
 
 
 class Between(MemoryNetwork):
-    """Network of the outer fleet. `speaks`: function that is called with the place of each sender."""
+    """Network of the outer fleet. `note_send`: function that is called with the place of each sender."""
 
-    speaks: Callable[[int], None]
+    note_send: Callable[[int], None]
 
     def send(self, sender: int, receiver: int, datagram: bytes) -> None:
-        self.speaks(sender)
+        self.note_send(sender)
         super().send(sender, receiver, datagram)
 
 
@@ -139,7 +139,7 @@ class Levels(CountedEvents):
         self.applied = AppliedRounds(self._counts)
         self.safety = Safety(position_stale=0.7, position_lost=10000.0, peer_timeout=timeout)
         self.between = Between(self.time, self.random.getrandbits(32), conditions)
-        self.between.speaks = self._speaks
+        self.between.note_send = self._note_send
         self.inside = [MemoryNetwork(self.time, self.random.getrandbits(32), conditions) for _ in sizes]
         self.nodes: dict[int, Node] = {}
         self.limits: list[float] = []  # seconds that each outer event on a host might take
@@ -148,8 +148,8 @@ class Levels(CountedEvents):
         self.files: dict[tuple[int, int], list[tuple[SimulatedClock, io.BytesIO]]] = {}
         self.hosts: list[tuple[float, int, int]] = []  # (time, outer pid, inner pid): changes of a host
         self._began: dict[Agent, int] = {}  # outer agents on hosts, in the order in which they began
-        self.second_voices: list[tuple[float, int]] = []  # (time, place): messages of hosts that were replaced
-        self._spoke: dict[int, int] = {}  # outer pid of a squad -> number of the newest host that has sent a message
+        self.sent_by_former_hosts: list[tuple[float, int]] = []  # (time, place): messages of hosts that were replaced
+        self._sending: dict[int, int] = {}  # outer pid of a squad -> number of the newest host that has sent a message
         self._recorded: dict[tuple[int, int], int] = {}  # outer pid and round -> the same number of the record's agent
         self._where: list[tuple[int, int]] = []  # place -> (squad or -1, pid)
         self._of_squad: dict[int, list[int]] = {}  # outer pid of a squad -> places of its robots
@@ -232,15 +232,15 @@ class Levels(CountedEvents):
         self.limits.append(seconds)
         return nullcontext()
 
-    def _speaks(self, place: int) -> None:
+    def _note_send(self, place: int) -> None:
         """Note a host that sends although another one has sent in the name of the same outer robot since it began."""
         node = self.nodes[place]
         if node.fleet >= 0 and node.outer is not None:
             number = self._began.get(node.outer, len(self._began))
-            newest = self._spoke.setdefault(node.fleet, number)
+            newest = self._sending.setdefault(node.fleet, number)
             if number < newest:
-                self.second_voices.append((self.time.time, place))
-            self._spoke[node.fleet] = max(number, newest)
+                self.sent_by_former_hosts.append((self.time.time, place))
+            self._sending[node.fleet] = max(number, newest)
 
     def _counts(self, state: StateMachine) -> bool:
         """Return whether a store is that of an outer robot, and on its newest host."""

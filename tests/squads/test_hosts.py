@@ -143,19 +143,19 @@ def test_the_host_is_the_robot_of_lowest_pid_and_keeps_the_outer_robot() -> None
     assert levels.follow(40)["event"] > 90
 
 
-def test_a_host_that_is_cut_off_gives_up_once_another_speaks_for_the_outer_robot() -> None:
+def test_a_host_that_is_cut_off_ends_its_outer_agent_when_it_hears_of_its_successor() -> None:
     levels = Levels(COUNT, [3, 0, 0])
     levels.run_rounds(4)
     levels.cut(0, outside=False)
     assert levels.run(10, lambda: [pid for _, _, pid in levels.hosts] == [0, 1])
-    assert levels.run(10, lambda: levels.nodes[0].outer is None), "it hears the outer fleet, and so of the other host"
+    assert levels.run(10, lambda: levels.nodes[0].outer is None), "it hears the outer fleet, and so of its successor"
     levels.run_rounds(max(levels.applied) + 10)
     levels.restore()
     levels.run_rounds(max(levels.applied) + 3)
     levels.cut(1, outside=True)
     assert levels.run(10, lambda: [pid for _, _, pid in levels.hosts] == [0, 1, 0]), "its process never ended"
     levels.run_rounds(max(levels.applied) + 10)
-    assert levels.follow(levels.complete)["event"] > 50 and not levels.second_voices
+    assert levels.follow(levels.complete)["event"] > 50 and not levels.sent_by_former_hosts
 
 
 def test_the_outer_robot_goes_on_when_another_inner_robot_dies() -> None:

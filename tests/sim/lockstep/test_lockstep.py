@@ -58,10 +58,10 @@ def test_drivers_functions_scans_and_planners_run_in_it_and_repeat(tmp_path: Pat
 
 @pytest.mark.slow
 def test_real_time_and_lockstep_come_to_the_same(lineform: Path, tmp_path: Path) -> None:
-    """Half a minute of the host's time: the real clock cannot be hurried."""
-    run = [sys.executable, str(lineform), "--duration", "10", "--out", str(tmp_path / "real"), "--quiet"]
+    """Most of a minute of the host's time: on a loaded machine the robots need it to come to rest."""
+    run = [sys.executable, str(lineform), "--duration", "30", "--out", str(tmp_path / "real"), "--quiet"]
     subprocess.run(run, check=True, capture_output=True, timeout=300)
-    assert ran(lineform, tmp_path / "lockstep", 10.0) == 0
+    assert ran(lineform, tmp_path / "lockstep", 30.0) == 0
     real, lockstep = (summary(tmp_path / name) for name in ("real", "lockstep"))
     assert real["verdict"] == lockstep["verdict"] == "held"
     for one, other in zip(real["robots"], lockstep["robots"], strict=True):
