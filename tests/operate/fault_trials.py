@@ -177,7 +177,7 @@ class Trials:
             output = os.open(self.log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
             os.dup2(output, 1)
             os.dup2(output, 2)
-            building.planned = self._planned  # type: ignore[assignment]
+            building.planned = self._planned
             Phases.attempt = self._attempt(Phases.attempt)  # type: ignore[method-assign]
             status = cli.main(list(command))
         finally:
