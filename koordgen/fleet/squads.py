@@ -26,7 +26,8 @@ _MISPLACED = {
 }
 
 
-# Folders in the folder of a run, in which each squad has a folder of its own; equal to those of the simulator (tested).
+# No squad may have these names: a run folder has these folders beside a folder for each squad. The simulator has the
+# same list (tested).
 RESERVED = frozenset(("plots", "robots", "source"))
 
 

@@ -401,7 +401,7 @@ def _watchers(
 
 
 def _summarised(run: Run, fleet: SimulatedFleet, result: RunResult, header: Header) -> Summary:
-    """Write the merged trace of a fleet, and return the summary. `result`: of the run of this fleet."""
+    """Write the merged trace of a fleet, and return the summary. `result`: the result of this fleet."""
     from targets.sim.judging import summary
     from targets.sim.run.run import poses_file
     from targets.sim.trace import files as trace

@@ -144,7 +144,7 @@ class Levels(CountedEvents):
         self.nodes: dict[int, Node] = {}
         self.limits: list[float] = []  # seconds that each outer event on a host might take
         self.down: set[int] = set()  # places of the robots that are killed
-        self.frozen: dict[int, float] = {}  # place -> time until which the process does nothing
+        self.frozen: dict[int, float] = {}  # place -> time at which a frozen process continues
         self.files: dict[tuple[int, int], list[tuple[SimulatedClock, io.BytesIO]]] = {}
         self.hosts: list[tuple[float, int, int]] = []  # (time, outer pid, inner pid): changes of a host
         self._began: dict[Agent, int] = {}  # outer agents on hosts, in the order in which they began
@@ -233,7 +233,7 @@ class Levels(CountedEvents):
         return nullcontext()
 
     def _note_send(self, place: int) -> None:
-        """Note a host that sends although another one has sent in the name of the same outer robot since it began."""
+        """Record a message of a host whose successor has already sent a message."""
         node = self.nodes[place]
         if node.fleet >= 0 and node.outer is not None:
             number = self._began.get(node.outer, len(self._began))

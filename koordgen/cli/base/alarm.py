@@ -10,7 +10,7 @@ from types import FrameType
 from koordgen.lang.semantics.deadline import OutOfTime
 
 GRACE = 0.5  # seconds after the limit: code that checks the clock itself ends regularly before the alarm
-AGAIN = 0.5  # seconds between alarms, until the block ends
+AGAIN = 0.5  # seconds until the alarm is repeated, if the block has not ended
 
 
 @contextmanager

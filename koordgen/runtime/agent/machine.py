@@ -149,7 +149,7 @@ class Agent:
 
     @property
     def incarnation(self) -> int | None:
-        """Incarnation of this robot in the newest view that it knows: -1 if it does not count, None before round 1."""
+        """This robot's incarnation in the newest view that it knows: -1 if it is no member, None before round 1."""
         return None if self._driver is None else self._driver.replica.views.view.members[self._settings.pid]
 
     @property

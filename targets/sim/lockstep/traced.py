@@ -53,6 +53,7 @@ class TracedAgent(AgentHandle):
             self._receive(self._out)
 
     def _receive(self, file: TraceFile) -> None:
+        """Read the records written to one file since the last call."""
         lines, file.lines = file.lines, []
         for line in lines:
             if not line.startswith(HEADER):  # an agent's own header differs from that of the merged trace

@@ -6,7 +6,6 @@ host in real time, simulated time from 0 in lockstep."""
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -181,30 +180,29 @@ def _pose_records(path: Path, zero: float) -> Iterator[tuple[float, bytes]]:
 
 
 def _agent_records(path: Path, zero: float, pid: int, hosted: bool) -> Iterator[tuple[float, bytes]]:
-    """Yield an agent's records by time, in its order for equal times. `hosted`: each part of the file is of one host.
+    """Yield an agent's records by time, in the order of the file for equal times.
 
+    hosted: the agent is that of a squad, and each part of the file is from one host.
     The agent writes a round when it is committed, after later records of other kinds; how much later depends on its
     peers. So the file is read twice: for the times, then in order."""
     if not path.exists():
         return
     with path.open("rb") as file:
-        places = [(time, place) for time, place, _, _ in _counting(list(_places(file)), hosted)]
-        for time, place in sorted(places):
-            file.seek(place)
+        places = list(_places(file))
+        if hosted:
+            places = _without_replaced_rounds(file, places)
+        for time, offset, _ in sorted(places):
+            file.seek(offset)
             t = round(time - zero, 6)
             yield t, at(file.readline(), t, pid)
 
 
 class _Place(NamedTuple):
-    """Place of a record in a robot's own trace.
-
-    time: of the run's clock (s). offset: in bytes. part: number of headers before it. round: its round, 0 for
-    `init`, None for other records."""
+    """Place of a record in a trace: time on the run's clock (s), offset in bytes, number of headers before it."""
 
     time: float
     offset: int
     part: int
-    round: int | None
 
 
 def _places(file: IO[bytes]) -> Iterator[_Place]:
@@ -214,23 +212,24 @@ def _places(file: IO[bytes]) -> Iterator[_Place]:
         part += line.startswith(HEADER)
         time = time_of(line)
         if time is not None:
-            record = decoded(line)
-            round_ = record.round if isinstance(record, Round) else 0 if isinstance(record, InitRecord) else None
-            yield _Place(time, offset, part, round_)
+            yield _Place(time, offset, part)
         offset += len(line)
 
 
-def _counting(places: Sequence[_Place], hosted: bool) -> Iterator[_Place]:
-    """Yield the places of the records that count; see `hosted`."""
-    rounds: dict[int, list[int]] = {}
+def _without_replaced_rounds(file: IO[bytes], places: Sequence[_Place]) -> list[_Place]:
+    """Return the places without the rounds of former hosts that a later host has recorded; see `replaced_from`."""
+    rounds: dict[_Place, int] = {}
     for place in places:
-        if place.round is not None:
-            rounds.setdefault(place.part, []).append(place.round)
-    ends = replaced_from([(min(each), max(each)) for each in rounds.values()])
-    until = dict(zip(rounds, ends, strict=True)) if hosted else {}
-    for place in places:
-        if place.round is None or place.round < until.get(place.part, math.inf):
-            yield place
+        file.seek(place.offset)
+        record = decoded(file.readline())
+        if isinstance(record, InitRecord | Round):
+            rounds[place] = record.round if isinstance(record, Round) else 0
+    parts: dict[int, list[int]] = {}
+    for place, round_ in rounds.items():
+        parts.setdefault(place.part, []).append(round_)
+    ends = replaced_from([(min(each), max(each)) for each in parts.values()])
+    until = dict(zip(parts, ends, strict=True))
+    return [place for place in places if place not in rounds or rounds[place] < until[place.part]]
 
 
 def read(path: Path) -> tuple[Header, Iterator[TraceRecord]]:

@@ -1,7 +1,7 @@
-"""Parts of a squad's trace, of which each was written by one host of its agent.
+"""Parts of a squad's trace: each host of the squad's agent writes one part.
 
-A host may record rounds that are not committed when another host takes over, and a host that was cut off or frozen may
-record rounds long after that. Only the records of the later host count."""
+A host may record rounds that are not committed when another robot becomes the host. A host that was cut off or frozen
+may record rounds long after that. Of a round that several hosts recorded, only the record of the last host counts."""
 
 from __future__ import annotations
 
